@@ -1,0 +1,108 @@
+// Room: supervisor/strike. Sees the blow from the joints: force, impulse, penetration, jump of joint speeds.
+// May touch common/ and supervisor/model. Stepped at the knot rate: allocates nothing, throws nothing.
+#pragma once
+
+#include <array>
+#include <cstdint>
+
+#include "common/core/time.h"
+#include "common/robot/robot.h"
+#include "supervisor/model/chain.h"
+
+namespace mrr::sup {
+
+struct ContactConfig {
+  double residual_gain_1_s = 250.0;  ///< of the momentum observer, for the reported force
+  double min_force_n = 4.0;          ///< never triggers below this
+  double sigmas = 6.0;               ///< threshold in standard deviations of the force before contact
+  double release_share = 0.4;        ///< contact is over below this share of the threshold
+  int release_samples = 2;           ///< ... for that many samples
+  double baseline_time_s = 0.04;     ///< time constant of the baseline and its noise, before contact
+  double settle_s = 0.02;            ///< no detection before this much was seen since reset()
+  double max_contact_s = 0.5;        ///< a contact is closed after this
+};
+
+/// One sample, all joints at the same instant (SYNC).
+struct ContactSample {
+  JointVector q;          ///< motor side, joint units, rad
+  JointVector qd;         ///< rad/s
+  JointVector torque_nm;  ///< what the transmission puts on the link (torque sensor), Nm
+};
+
+enum class ContactPhase : std::uint8_t { none, touching, over };
+
+/// The blow so far; final when `phase` is over.
+struct ContactReport {
+  ContactPhase phase = ContactPhase::none;
+  Time start;
+  Time end;                  ///< so far, while touching
+  double impulse_n_s = 0.0;  ///< along +normal on the robot
+  double peak_force_n = 0.0;
+  double penetration_m = 0.0;     ///< along -normal: face where contact ended less where it began, link side
+  double deepest_m = 0.0;         ///< deepest the face went past where contact began (>= penetration)
+  double speed_before_m_s = 0.0;  ///< along -normal
+  double speed_after_m_s = 0.0;   ///< along -normal, negative: it bounced
+  JointVector q_start;            ///< link side, at the start
+  JointVector qd_before;          ///< rad/s, link side
+  JointVector qd_after;
+};
+
+/// Torsion of a harmonic drive under a torque, rad: piecewise linear K1, K2, K3, odd.
+[[nodiscard]] double flexion_rad(const TransmissionDescription& drive, double torque_nm) noexcept;
+
+/// Momentum observer on the link side: p = M q', p' = tau_s + M' q' - h + J_h^T F. Link-side position = motor side
+/// minus torsion. The force along the normal is the dynamically consistent one, (J H^-1 r)/(J H^-1 J^T) with H = M.
+class ContactObserver {
+ public:
+  /// `chain` must outlive this; the drives' stiffness is copied.
+  ContactObserver(const RobotDescription& robot, const Chain& chain, const ContactConfig& config = {});
+
+  /// A new swing. `normal`: unit, from the board into the robot.
+  void reset(const Eigen::Vector3d& normal) noexcept;
+  /// One sample at `now`. A sample which is not finite, of the wrong size or not later than the last one is skipped and
+  /// counted. A gap of more than 5 periods restarts the observer, not the report.
+  const ContactReport& step(Time now, const ContactSample& sample) noexcept;
+
+  [[nodiscard]] const ContactReport& report() const noexcept { return report_; }
+  [[nodiscard]] double force_n() const noexcept { return force_n_; }  ///< filtered, less the baseline
+  [[nodiscard]] double threshold_n() const noexcept { return threshold_n_; }
+  [[nodiscard]] const JointVector& external_torque_nm() const noexcept { return residual_; }
+  [[nodiscard]] std::uint32_t skipped() const noexcept { return skipped_; }
+
+ private:
+  struct Instant {
+    Time time;
+    JointVector q;   // link side
+    JointVector qd;  // link side
+    JointVector bias_less_torque;
+    JointMatrix M;
+    Eigen::Vector3d face = Eigen::Vector3d::Zero();
+    Eigen::Matrix<double, 1, Eigen::Dynamic, Eigen::RowMajor, 1, kMaxJoints> J_n;
+  };
+  Instant evaluate(Time now, const ContactSample& sample) noexcept;
+
+  const Chain* chain_;
+  ContactConfig config_;
+  std::array<TransmissionDescription, kMaxJoints> drive_{};
+  Eigen::Vector3d normal_ = Eigen::Vector3d::UnitZ();
+  Instant last_;
+  bool has_last_ = false;
+  JointVector flexion_;
+  JointVector residual_;
+  double force_n_ = 0.0;
+  double threshold_n_ = 0.0;
+  double baseline_n_ = 0.0;
+  double variance_n2_ = 0.0;
+  double seen_s_ = 0.0;
+  // Since the force left the noise: what a contact is backdated by.
+  bool rising_ = false;
+  Instant rise_;
+  double rise_impulse_n_s_ = 0.0;
+  int low_samples_ = 0;
+  Instant release_;
+  double release_impulse_n_s_ = 0.0;
+  std::uint32_t skipped_ = 0;
+  ContactReport report_;
+};
+
+}  // namespace mrr::sup

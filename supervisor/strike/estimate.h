@@ -1,0 +1,52 @@
+// Room: supervisor/strike. What one blow teaches for the next: restitution, effective mass, resistance, how deep to
+// aim. May touch supervisor/impact and the contact observer. Allocates nothing, throws nothing.
+#pragma once
+
+#include "supervisor/strike/contact_observer.h"
+#include "supervisor/strike/planner.h"
+
+namespace mrr::sup {
+
+struct StrikeEstimateConfig {
+  double least_penetration_m = 2e-4;  ///< less counts as nothing moved: M* is infinite
+  double max_nail_mass_kg = 500.0;    ///< above it, infinite
+  double min_nail_mass_kg = 1.0;
+  double memory = 0.5;  ///< weight of the old estimate against a new blow, 0..1
+  double min_contact_s = 0.02;
+  double max_contact_s = 0.2;
+  double max_follow_through_m = 0.04;
+};
+
+/// Learns from blow to blow. Starts with what the task assumes and stays within sane bounds whatever it is fed.
+class StrikeEstimator {
+ public:
+  explicit StrikeEstimator(double assumed_contact_s, const StrikeEstimateConfig& config = {}) noexcept;
+
+  /// Enters a finished blow. `follow_through_m`: how far past the head the reference went. False, and nothing learnt,
+  /// if the report is not over or not finite.
+  bool learn(const StrikePlan& plan, const ContactReport& report) noexcept;
+
+  [[nodiscard]] double restitution() const noexcept { return restitution_; }    ///< 0..1
+  [[nodiscard]] double nail_mass_kg() const noexcept { return nail_mass_kg_; }  ///< M*, may be infinite
+  [[nodiscard]] double contact_duration_s() const noexcept { return contact_s_; }
+  [[nodiscard]] double resistance_n(double depth_m) const noexcept;   ///< R(d) = R0 + R1 d, fitted, >= 0
+  [[nodiscard]] double depth_m() const noexcept { return depth_m_; }  ///< driven so far
+  [[nodiscard]] int blows() const noexcept { return blows_; }
+  /// How far past the head the reference should go for the nail to move by `wanted_m` in the next blow.
+  [[nodiscard]] double follow_through_for(double wanted_m) const noexcept;
+
+ private:
+  StrikeEstimateConfig config_;
+  double restitution_ = 1.0;
+  double nail_mass_kg_ = std::numeric_limits<double>::infinity();
+  double contact_s_;
+  double depth_m_ = 0.0;
+  int blows_ = 0;
+  // Sums of the line fit R over d.
+  double s1_ = 0.0, sd_ = 0.0, sdd_ = 0.0, sr_ = 0.0, sdr_ = 0.0;
+  // penetration = follow-through + offset
+  double offset_m_ = 0.0;
+  bool has_offset_ = false;
+};
+
+}  // namespace mrr::sup
