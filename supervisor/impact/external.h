@@ -5,6 +5,7 @@
 #include <array>
 #include <cstdint>
 #include <limits>
+#include <span>
 
 #include "supervisor/model/chain.h"
 
@@ -72,6 +73,9 @@ struct ImpactPrediction {
 /// Square pulse: K_D t/2 + K_P t^2/6; half-sine: K_D t/2 + K_P t^2 (1/4 - 1/pi^2). Holds until the current saturates.
 [[nodiscard]] double controlled_extra_inertia(double position_gain_nm_rad, double velocity_gain_nm_s_rad,
                                               double contact_s, PulseShape shape = PulseShape::square) noexcept;
+
+/// Impulse of a sampled force by the trapezoidal rule, N s. `sample_s` apart; fewer than two samples give 0.
+[[nodiscard]] double impulse_of_samples_n_s(std::span<const double> force_n, double sample_s) noexcept;
 
 /// M* = P t_s / d, kg; (33),(34). Infinite if nothing moved (penetration 0), NaN if an input is not positive and
 /// finite.
