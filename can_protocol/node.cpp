@@ -1,0 +1,1 @@
+#include "can_protocol/node.h"

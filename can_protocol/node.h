@@ -1,0 +1,195 @@
+// Room: can_protocol. The CANopen slave (CiA 301), sans-I/O: given frames and the time, it says what to send.
+// Freestanding, fixed memory, noexcept; it touches nothing but its object dictionary and the queue it is handed.
+#pragma once
+
+#include <optional>
+
+#include "can_protocol/frame.h"
+#include "can_protocol/messages.h"
+#include "can_protocol/object_access.h"
+#include "can_protocol/selection.h"
+
+namespace mrr::can {
+
+enum class WriteSource : std::uint8_t { sdo, rpdo };
+enum class ResetKind : std::uint8_t { communication, node };
+
+struct NodeConfig {
+  std::uint8_t node_id = 2;                   ///< 1-127
+  std::uint32_t bit_rate = 1'000'000;         ///< as the shell opened the bus; informative
+  bool test_objects = false;                  ///< objects marked test_only exist (--test-faults)
+  Duration sdo_timeout = milliseconds(1000);  ///< an abandoned transfer is aborted after this
+};
+
+/// What a node tells its application, and asks of it. Every call comes from inside Node::handle or Node::tick.
+class NodeApplication {
+ public:
+  /// A last word before an SDO write that the schema accepts (length, limits) has effect; anything but none refuses it.
+  virtual Abort may_write(ObjectId, const Value&) noexcept { return Abort::none; }
+  /// An object has its new value. A PDO's objects are all written before the first of these calls.
+  virtual void written(ObjectId, WriteSource, Time) noexcept {}
+  /// RPDO `number` (1-4) was accepted and its objects are in force; it had arrived at `received`.
+  virtual void pdo_delivered(std::uint8_t /*number*/, Time /*received*/) noexcept {}
+  /// SYNC arrived (hardware time of the frame); the synchronous RPDOs before it are delivered, TPDOs go out after this
+  /// call.
+  virtual void sync(Time, std::optional<std::uint8_t> /*counter*/) noexcept {}
+  /// A selection with a known action arrived, by RPDO or by SDO on selection_command. Repetitions are passed on too.
+  virtual void selection(const SelectionCommand&, Time) noexcept {}
+  virtual void nmt_changed(NmtState, Time) noexcept {}
+  /// NMT reset: the writable objects of the range hold their power-on values again. Boot-up follows.
+  virtual void reset(ResetKind, Time) noexcept {}
+  /// A watched node's heartbeat stopped, or came (back).
+  virtual void heartbeat_lost(std::uint8_t /*node_id*/, Time) noexcept {}
+  virtual void heartbeat_seen(std::uint8_t /*node_id*/, NmtState, Time) noexcept {}
+  /// 1010h and 1011h with the right signature. Default: there is no memory.
+  virtual Abort store(Time) noexcept { return Abort::cannot_store; }
+  virtual Abort restore_defaults(Time) noexcept { return Abort::cannot_store; }
+
+ protected:
+  ~NodeApplication() = default;
+};
+
+/// How an object dictionary comes by its values: schema defaults, then the application's own configuration, then
+/// Node's constructor (adds the node id to COB-IDs), then what was stored (storage.h), then the first tick(), which
+/// remembers the picture as power-on values and sends boot-up.
+class Node {
+ public:
+  /// `od` and `application` must outlive the node.
+  Node(ObjectDictionary& od, const NodeConfig& config, NodeApplication& application) noexcept;
+
+  /// Takes one frame; answers go to `tx`. Frames that are not for this node are ignored; malformed ones are counted
+  /// (count_rejected_frames) and have no effect. Frames before the first tick() are ignored.
+  void handle(const ReceivedFrame& received, TransmitQueue& tx) noexcept;
+  /// Timers: heartbeat, watched heartbeats, event timers, timeouts, pending EMCY. Call every control tick.
+  void tick(Time now, TransmitQueue& tx) noexcept;
+
+  /// Error `code` is present: error register, history, EMCY (once, until cleared). `detail`: EMCY bytes 3-7.
+  void raise(Emergency code, const std::array<std::uint8_t, 5>& detail, Time now) noexcept;
+  void raise(Emergency code, Time now) noexcept { raise(code, {}, now); }
+  /// Error `code` is gone: EMCY 0000h with what remains in the error register. Nothing if it was not present.
+  void clear(Emergency code, Time now) noexcept;
+  [[nodiscard]] bool is_present(Emergency code) const noexcept;
+
+  /// The CAN controller went bus-off (1029h decides the state), came back (EMCY 8140h), is error passive, lost frames.
+  void bus_off(Time now) noexcept;
+  void bus_recovered(Time now) noexcept;
+
+  /// Sends TPDO `number` (1-3, event-driven types) with the next tick, inhibit time permitting.
+  void request_tpdo(std::uint8_t number) noexcept;
+
+  [[nodiscard]] NmtState state() const noexcept { return state_; }
+  [[nodiscard]] const NodeConfig& config() const noexcept { return config_; }
+
+ private:
+  static constexpr std::size_t kMaxPdoBytes = 8;
+  static constexpr std::size_t kMaxErrors = 16;
+  static constexpr std::size_t kMaxWatched = 4;
+
+  struct Rpdo {
+    std::array<std::uint8_t, kMaxPdoBytes> data{};
+    Time received{};
+    bool pending = false;  ///< waits for SYNC
+    bool watched = false;  ///< one has come: the deadline runs
+    bool late = false;
+  };
+  struct Tpdo {
+    std::array<std::uint8_t, kMaxPdoBytes> last{};  ///< as last sent
+    Time sent{};
+    bool has_sent = false;
+    bool requested = false;
+    bool waits_for_start = false;  ///< for the SYNC counter to reach the start value
+    std::uint8_t syncs = 0;        ///< SYNCs since it was sent
+  };
+  struct Watched {
+    bool running = false;
+    bool lost = false;
+    Time last{};
+  };
+  struct Error {
+    Emergency code;
+    std::uint8_t register_bits;
+  };
+  struct PendingEmergency {
+    std::uint16_t code;
+    std::uint8_t error_register;
+    std::array<std::uint8_t, 5> detail;
+  };
+  enum class Transfer : std::uint8_t { none, upload, download };
+  struct Sdo {
+    Transfer transfer = Transfer::none;
+    const Entry* entry = nullptr;
+    Value value;
+    std::size_t at = 0;         ///< bytes transferred
+    std::size_t announced = 0;  ///< download: size announced
+    bool has_announced = false;
+    bool toggle = false;
+    Time last{};
+  };
+  /// A mapped object: an entry, or a dummy of `size` bytes when null.
+  struct Mapped {
+    const Entry* entry;
+    std::uint8_t size;
+  };
+
+  void start(Time now, TransmitQueue& tx) noexcept;
+  void enter(NmtState state, Time now) noexcept;
+  void reset(ResetKind kind, Time now, TransmitQueue& tx) noexcept;
+  void error_behaviour(Time now) noexcept;
+
+  void handle_nmt(const Frame& f, Time now, TransmitQueue& tx) noexcept;
+  void handle_sync(const Frame& f, Time now, TransmitQueue& tx) noexcept;
+  void handle_heartbeat(const Frame& f, Time now) noexcept;
+  void handle_rpdo(std::size_t i, const Frame& f, Time now) noexcept;
+  void deliver(std::size_t i, Time now) noexcept;
+  void handle_sdo(const Frame& f, Time now, TransmitQueue& tx) noexcept;
+  void sdo_download(const Frame& f, Time now, TransmitQueue& tx) noexcept;
+  void sdo_download_segment(const Frame& f, Time now, TransmitQueue& tx) noexcept;
+  void sdo_upload(const Frame& f, Time now, TransmitQueue& tx) noexcept;
+  void sdo_upload_segment(const Frame& f, Time now, TransmitQueue& tx) noexcept;
+  void sdo_abort(std::uint16_t index, std::uint8_t sub, Abort code, TransmitQueue& tx) noexcept;
+  void sdo_reply(const std::array<std::uint8_t, 8>& data, TransmitQueue& tx) noexcept;
+
+  /// Everything that decides about one write by SDO, then its effect.
+  Abort write(const Entry& entry, const Value& value, Time now) noexcept;
+  Abort check_communication(const Entry& entry, const Value& value, Time now) const noexcept;
+  [[nodiscard]] Abort check_pdo_communication(const PdoCommunication& pdo, bool receive, std::uint8_t sub,
+                                              const Value& value) const noexcept;
+  [[nodiscard]] Abort check_pdo_mapping(const PdoMapping& map, const PdoCommunication& pdo, bool receive,
+                                        std::uint8_t sub, const Value& value) const noexcept;
+  [[nodiscard]] Abort find_mapped(std::uint32_t mapping, bool receive, Mapped& out) const noexcept;
+  [[nodiscard]] const Entry* find(std::uint16_t index, std::uint8_t sub) const noexcept;
+  void communication_written(const Entry& entry, Time now) noexcept;
+  void after_write(ObjectId id, WriteSource source, Time now) noexcept;
+
+  [[nodiscard]] bool pack(std::size_t i, std::array<std::uint8_t, kMaxPdoBytes>& data,
+                          std::uint8_t& size) const noexcept;
+  void send_tpdo(std::size_t i, Time now, TransmitQueue& tx) noexcept;
+  void tick_tpdo(std::size_t i, Time now, TransmitQueue& tx) noexcept;
+  void tick_watched(Time now) noexcept;
+  void tick_emergency(Time now, TransmitQueue& tx) noexcept;
+  void queue_emergency(std::uint16_t code, const std::array<std::uint8_t, 5>& detail) noexcept;
+  void update_error_register() noexcept;
+  bool send(const Frame& f, TransmitQueue& tx) noexcept;
+  void reject() noexcept { ++od_.count_rejected_frames; }
+  void copy_range(const ObjectDictionary& from, std::uint16_t low, std::uint16_t high, std::uint8_t flag) noexcept;
+
+  ObjectDictionary& od_;
+  NodeConfig config_;
+  NodeApplication& application_;
+  ObjectDictionary factory_;   ///< as configured, before what was stored
+  ObjectDictionary power_on_;  ///< what a reset goes back to
+  NmtState state_ = NmtState::initialising;
+  bool started_ = false;
+  bool overflowed_ = false;
+  Time next_heartbeat_{};
+  std::array<Rpdo, kRpdoCount> rpdo_{};
+  std::array<Tpdo, kTpdoCount> tpdo_{};
+  std::array<Watched, kMaxWatched> watched_{};
+  StaticVector<Error, kMaxErrors> errors_;
+  RingBuffer<PendingEmergency, kMaxErrors> emergencies_;
+  bool has_sent_emergency_ = false;
+  Time emergency_sent_{};
+  Sdo sdo_;
+};
+
+}  // namespace mrr::can
