@@ -101,8 +101,8 @@ struct PeriodicFrame {
 };
 
 /// No frame of this shape takes more bits, intermission included. Classic: 47 + 8 n + floor((33 + 8 n) / 4) for n bytes
-/// and a standard id, 67 + 8 n + floor((53 + 8 n) / 4) for an extended one. FD: an upper bound, at most two bits above
-/// what occurs.
+/// and a standard id, 67 + 8 n + floor((53 + 8 n) / 4) for an extended one; FD: the like. It is what the stuffing rule
+/// could do to free bits; the fixed control bits keep real frames a few bits below.
 constexpr WireBits worst_case_bits(const PeriodicFrame& frame) noexcept {
   const int payload = 8 * static_cast<int>(frame.length);
   if (!frame.fd) {

@@ -19,7 +19,7 @@ inline constexpr int kMaxPorts = 32;
 
 struct BusConfig {
   int ports = 2;  ///< 1 .. kMaxPorts
-  can::BitRates bit_rates;
+  can::BitRates bit_rates{};
   int queue_capacity = 16;         ///< frames waiting per port, the one on the wire included
   double error_probability = 0.0;  ///< that any one transmission is hit by a disturbance all nodes see
   std::uint64_t seed = 1;          ///< for disturbances only
@@ -154,15 +154,21 @@ class Bus {
 
   [[nodiscard]] Port& at(int port) noexcept { return ports_[static_cast<std::size_t>(port)]; }
   [[nodiscard]] const Port& at(int port) const noexcept { return ports_[static_cast<std::size_t>(port)]; }
+  [[nodiscard]] const Queued& head(int port) const noexcept { return at(port).ring[at(port).head]; }
+  [[nodiscard]] static bool listening(const Port& port) noexcept;
+  /// Bit mask of the ports that hear the wire, without the port `except` (by default the sender).
+  [[nodiscard]] std::uint32_t listeners(int except) const noexcept;
+  [[nodiscard]] std::uint32_t listeners() const noexcept { return listeners(sender_); }
   [[nodiscard]] Start next_start() const noexcept;
   bool run_until(Time until) noexcept;
   void begin(const Start& start) noexcept;
   bool finish() noexcept;
-  void pop(Port& port) noexcept;
-  void discard(Port& port, bool keep_head) noexcept;
-  void transmit_error(Port& port, int step, Time from) noexcept;
+  void settle() noexcept;
+  static void update_state(Port& port) noexcept;
+  void suspend_if_passive(Port& port) noexcept;
+  static void discard(Port& port, int keep) noexcept;
   [[nodiscard]] Duration nominal_bits(std::int64_t bits) const noexcept;
-  const PendingFault* take_fault(WireFault kind, const can::Frame& frame) noexcept;
+  std::optional<PendingFault> take_fault(WireFault kind, const can::Frame& frame) noexcept;
 
   BusConfig config_;
   std::vector<Port> ports_;
@@ -172,7 +178,8 @@ class Bus {
   BusStatistics statistics_;
   Time now_;
   Time statistics_since_;
-  Time idle_from_;  // the wire is free from then on
+  Time idle_from_;      // the wire is free from then on
+  int recovering_ = 0;  // ports on their way out of bus-off
   // The transmission on the wire.
   int sender_ = -1;
   bool failing_ = false;  // will end in an error frame
