@@ -1,0 +1,123 @@
+// Room: supervisor/master. One module as the supervisor sees it: bring-up step by step, state, measurements, watchdog.
+// May touch common/core and can_protocol. Stepped: allocates nothing, throws nothing.
+#pragma once
+
+#include <cstdint>
+
+#include "can_protocol/client.h"
+#include "can_protocol/frame.h"
+#include "common/core/time.h"
+
+namespace mrr::sup {
+
+/// SYNC counters run from 1 to this (0x1019 of every module).
+inline constexpr std::uint8_t kSyncCounterOverflow = 240;
+
+/// What a node must be before it may be enabled, and how it is set up.
+struct NodeSettings {
+  std::uint8_t node_id = 0;
+  std::uint32_t configuration_hash = 0;  ///< what the robot was planned with; another one is refused
+  double rated_torque_nm = 1.0;          ///< unit of torques on the wire: 0x6076
+  Duration sync_period = milliseconds(4);
+  Duration heartbeat_period = milliseconds(100);   ///< of the module
+  Duration heartbeat_timeout = milliseconds(500);  ///< silence after which a node is lost, either way
+};
+
+/// How far bring-up has come.
+enum class NodeStage : std::uint8_t {
+  absent,       ///< nothing heard yet
+  identifying,  ///< protocol and configuration are compared
+  configuring,  ///< heartbeats, SYNC
+  starting,     ///< told to go OPERATIONAL
+  idle,         ///< OPERATIONAL, not enabled
+  enabling,     ///< walking to OPERATION ENABLED, brake included
+  enabled,      ///< holds its position, follows knots once they are near
+  refused,      ///< must not be used; see problem()
+  faulted,      ///< reports a fault
+  lost,         ///< was there, fell silent
+};
+
+enum class NodeProblem : std::uint8_t {
+  none,
+  silent,               ///< never answered
+  wrong_protocol,       ///< another schema: update the module or the supervisor
+  wrong_configuration,  ///< another configuration than the robot was planned with
+  not_answering,        ///< a request timed out three times
+  request_refused,      ///< SDO abort; see problem_detail()
+  state_timeout,        ///< did not reach the state asked for
+  fault,                ///< see problem_detail(): emergency code
+  heartbeat_lost,
+};
+[[nodiscard]] const char* describe(NodeProblem problem) noexcept;
+[[nodiscard]] const char* describe(NodeStage stage) noexcept;
+
+/// What the last PDOs said, SI. `valid` only once all of them came.
+struct NodeMeasurement {
+  bool valid = false;
+  double position_rad = 0.0;  ///< motor side, joint units
+  double velocity_rad_s = 0.0;
+  double torque_nm = 0.0;  ///< joint torque
+  std::uint16_t statusword = 0;
+  std::int8_t mode_display = 0;
+  std::uint8_t selection_acknowledged = 0;
+  std::uint16_t error_or_limit = 0;
+};
+
+class NodeProxy {
+ public:
+  NodeProxy() = default;
+  explicit NodeProxy(const NodeSettings& settings) noexcept;
+
+  /// A frame of this node, or any other: only its own count.
+  void receive(const can::ReceivedFrame& received) noexcept;
+  /// Bring-up, watchdogs, retries. Call every step.
+  void step(Time now, can::TransmitQueue& tx) noexcept;
+
+  /// Whether the node shall be enabled. Falling back takes power away in a controlled way.
+  void want_enabled(bool wanted) noexcept { wanted_ = wanted; }
+  /// Acknowledge a fault: one fault reset, then bring-up goes on.
+  void reset_fault() noexcept { reset_wanted_ = true; }
+
+  /// Forget which PDOs came: a new SYNC goes out.
+  void begin_cycle() noexcept { received_in_cycle_ = 0; }
+  [[nodiscard]] bool cycle_complete() const noexcept { return received_in_cycle_ == 3U; }
+
+  [[nodiscard]] NodeStage stage() const noexcept { return stage_; }
+  [[nodiscard]] NodeProblem problem() const noexcept { return problem_; }
+  [[nodiscard]] std::uint32_t problem_detail() const noexcept { return problem_detail_; }
+  [[nodiscard]] const NodeMeasurement& measured() const noexcept { return measured_; }
+  [[nodiscard]] const NodeSettings& settings() const noexcept { return settings_; }
+
+ private:
+  void enter(NodeStage stage, Time now) noexcept;
+  void refuse(NodeProblem problem, std::uint32_t detail, Time now) noexcept;
+  void step_requests(Time now, can::TransmitQueue& tx) noexcept;
+  void step_power(Time now, can::TransmitQueue& tx) noexcept;
+  void send_controlword(std::uint16_t controlword, Time now, can::TransmitQueue& tx) noexcept;
+
+  NodeSettings settings_;
+  NodeStage stage_ = NodeStage::absent;
+  NodeProblem problem_ = NodeProblem::silent;
+  std::uint32_t problem_detail_ = 0;
+  NodeMeasurement measured_;
+  std::uint8_t received_in_cycle_ = 0;  // bit 0 TPDO1, bit 1 TPDO2
+  std::uint8_t received_ever_ = 0;
+  std::uint16_t last_emergency_ = 0;
+  bool wanted_ = false;
+  bool reset_wanted_ = false;
+  bool heard_ = false;
+  bool booted_ = false;
+  can::NmtState nmt_state_ = can::NmtState::initialising;
+  Time last_heard_;
+  Time stage_since_;
+  Time last_command_;
+  std::uint16_t controlword_ = 0;
+  can::SdoClient sdo_{0};
+  can::Frame answer_;
+  bool has_answer_ = false;
+  bool request_pending_ = false;
+  int request_index_ = 0;
+  int retries_ = 0;
+};
+
+}  // namespace mrr::sup

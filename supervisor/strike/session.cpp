@@ -1,0 +1,196 @@
+#include "supervisor/strike/session.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <utility>
+
+namespace mrr::sup {
+
+const char* describe(SessionState state) noexcept {
+  switch (state) {
+    case SessionState::bring_up:
+      return "bring-up";
+    case SessionState::planning:
+      return "planning";
+    case SessionState::swinging:
+      return "swinging";
+    case SessionState::learning:
+      return "learning";
+    case SessionState::done:
+      return "done";
+  }
+  return "?";
+}
+
+const char* describe(Verdict verdict) noexcept {
+  switch (verdict) {
+    case Verdict::none:
+      return "none";
+    case Verdict::flush:
+      return "flush";
+    case Verdict::nothing_moves:
+      return "nothing_moves";
+    case Verdict::swings_used_up:
+      return "swings_used_up";
+    case Verdict::nothing_hit:
+      return "nothing_hit";
+    case Verdict::plan_refused:
+      return "plan_refused";
+    case Verdict::swing_aborted:
+      return "swing_aborted";
+    case Verdict::not_ready:
+      return "not_ready";
+    case Verdict::joint_fault:
+      return "joint_fault";
+  }
+  return "?";
+}
+
+HammerSession::HammerSession(const RobotDescription& robot, Supervisor& supervisor, const SessionOptions& options)
+    : robot_(robot),
+      supervisor_(supervisor),
+      options_(options),
+      estimator_(robot.task.assumed_contact_s),
+      head_height_m_(robot.task.nail_height_m) {
+  if (options_.max_swings <= 0) options_.max_swings = robot.task.max_swings;
+}
+
+void HammerSession::finish(Verdict verdict, std::string reason) {
+  verdict_ = verdict;
+  reason_ = std::move(reason);
+  state_ = SessionState::done;
+}
+
+std::string HammerSession::bring_up_report() const {
+  std::string text;
+  for (int i = 0; i < robot_.dof(); ++i) {
+    const NodeProxy& node = supervisor_.node(i);
+    if (node.stage() == NodeStage::enabled) continue;
+    const JointDescription& joint = robot_.joints[static_cast<std::size_t>(i)];
+    if (!text.empty()) text += "; ";
+    text += fmt::format("joint {} (node {}) is {}: {}", joint.name, joint.node_id, describe(node.stage()),
+                        describe(node.problem()));
+    if (node.problem_detail() != 0) text += fmt::format(" (0x{:08X})", node.problem_detail());
+  }
+  return text;
+}
+
+StrikeRequest HammerSession::next_request() const {
+  const TaskDescription& task = robot_.task;
+  StrikeRequest request;
+  request.normal = task.normal;
+  request.head_position_m = task.nail_position_m + head_height_m_ * task.normal;
+  request.board_distance_m = std::max(0.0, head_height_m_);
+  request.restitution = estimator_.restitution();
+  request.nail_mass_kg = estimator_.nail_mass_kg();
+  request.contact_duration_s = estimator_.contact_duration_s();
+  request.follow_through_m = estimator_.blows() == 0
+                                 ? options_.first_follow_through_m
+                                 : estimator_.follow_through_for(std::min(head_height_m_, options_.largest_step_m));
+  request.mode = options_.mode;
+  request.formulation = options_.formulation;
+  request.measure = options_.measure;
+  request.start = supervisor_.reference().q;
+  request.seed = options_.seed;
+  return request;
+}
+
+void HammerSession::plan_next() {
+  try {
+    plan_ = plan_strike(robot_, supervisor_.chain(), next_request());
+  } catch (const PlanError& error) {
+    finish(Verdict::plan_refused, error.what());
+    return;
+  }
+  const Refusal refusal = supervisor_.execute(*plan_);
+  if (refusal != Refusal::none) {
+    finish(Verdict::plan_refused, fmt::format("the swing was refused: {}", describe(refusal)));
+    return;
+  }
+  state_ = SessionState::swinging;
+}
+
+void HammerSession::learn() {
+  SwingReport report;
+  report.number = static_cast<int>(swings_.size()) + 1;
+  report.plan = *plan_;
+  report.outcome = supervisor_.outcome();
+  report.head_height_before_m = head_height_m_;
+  report.restitution = estimator_.restitution();
+  report.nail_mass_kg = estimator_.nail_mass_kg();
+  report.head_height_after_m = head_height_m_;
+  const SwingOutcome& outcome = report.outcome;
+  const ContactReport& contact = outcome.contact;
+
+  if (outcome.aborted == AbortReason::none && contact.phase == ContactPhase::over) {
+    // Where the face first felt the head is a fresh measurement of the head's height; what was driven comes off it.
+    const Eigen::Vector3d face = supervisor_.chain().face_pose(contact.q_start).position_m;
+    const double felt = (face - robot_.task.nail_position_m).dot(robot_.task.normal);
+    report.head_height_after_m = felt - std::max(0.0, contact.penetration_m);
+    estimator_.learn(*plan_, contact);
+  }
+  head_height_m_ = std::max(0.0, report.head_height_after_m);
+  swings_.push_back(report);
+
+  if (outcome.aborted == AbortReason::joint_fault) {
+    finish(Verdict::joint_fault, fmt::format("a joint failed during swing {}: {}", report.number, bring_up_report()));
+  } else if (outcome.aborted != AbortReason::none) {
+    finish(Verdict::swing_aborted, fmt::format("swing {} was aborted: {}", report.number, describe(outcome.aborted)));
+  } else if (contact.phase != ContactPhase::over) {
+    finish(Verdict::nothing_hit,
+           fmt::format("swing {} met nothing where the nail's head was expected, {:.1f} mm above the board",
+                       report.number, report.head_height_before_m * 1e3));
+  } else if (head_height_m_ <= robot_.task.flush_tolerance_m) {
+    finish(Verdict::flush,
+           fmt::format("the head is flush after {} swing{}", report.number, report.number == 1 ? "" : "s"));
+  } else {
+    still_in_a_row_ = contact.penetration_m < robot_.task.still_tolerance_m ? still_in_a_row_ + 1 : 0;
+    if (still_in_a_row_ >= robot_.task.still_swings) {
+      finish(
+          Verdict::nothing_moves,
+          fmt::format("nothing moves: {} swings in a row drove the nail less than {:.1f} mm; it stands {:.1f} mm proud",
+                      still_in_a_row_, robot_.task.still_tolerance_m * 1e3, head_height_m_ * 1e3));
+    } else if (report.number >= options_.max_swings) {
+      finish(Verdict::swings_used_up, fmt::format("{} swings are used up; the nail stands {:.1f} mm proud",
+                                                  report.number, head_height_m_ * 1e3));
+    } else {
+      state_ = SessionState::planning;
+    }
+  }
+}
+
+bool HammerSession::step(Time now) {
+  switch (state_) {
+    case SessionState::bring_up:
+      if (!started_) {
+        started_ = true;
+        started_at_ = now;
+        supervisor_.enable(true);
+      }
+      if (supervisor_.activity() == Activity::holding) {
+        state_ = SessionState::planning;
+      } else if (now - started_at_ > options_.bring_up_timeout) {
+        finish(Verdict::not_ready, fmt::format("bring-up did not end within {:.0f} s: {}",
+                                               options_.bring_up_timeout.seconds(), bring_up_report()));
+      }
+      break;
+    case SessionState::planning:
+      plan_next();
+      break;
+    case SessionState::swinging:
+      if (supervisor_.outcome().done &&
+          (supervisor_.activity() == Activity::holding || supervisor_.activity() == Activity::faulted)) {
+        state_ = SessionState::learning;
+      }
+      break;
+    case SessionState::learning:
+      learn();
+      break;
+    case SessionState::done:
+      break;
+  }
+  return state_ == SessionState::done;
+}
+
+}  // namespace mrr::sup

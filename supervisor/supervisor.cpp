@@ -1,0 +1,562 @@
+#include "supervisor/supervisor.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "common/robot/errors.h"
+#include "supervisor/master/bus_budget.h"
+#include "supervisor/model/kdl_reference.h"
+
+namespace mrr::sup {
+
+namespace {
+
+constexpr std::int8_t kModePassive = -1;
+constexpr std::int8_t kModeActive = 8;
+constexpr std::int64_t kKnotsAhead = 2;  // knot sent at SYNC k is latched at k+1 and reached at k+2
+constexpr Duration kHeartbeatPeriod = milliseconds(50);
+constexpr double kStopShare = 0.7;     // of the acceleration limit, for controlled stops
+constexpr double kReturnShare = 0.25;  // of the limits, for the unhurried way back
+constexpr double kStartTolerance_rad = 1e-3;
+constexpr double kSelfCheckTolerance = 1e-9;
+/// A switch that is due this soon anyway is not pulled.
+constexpr Duration kPullMargin = milliseconds(5);
+
+std::uint8_t sync_counter(std::int64_t sync) noexcept {
+  return static_cast<std::uint8_t>(sync % kSyncCounterOverflow + 1);
+}
+
+}  // namespace
+
+const char* describe(Activity activity) noexcept {
+  switch (activity) {
+    case Activity::bringing_up:
+      return "bringing up";
+    case Activity::holding:
+      return "holding";
+    case Activity::approaching:
+      return "approaching";
+    case Activity::dwelling:
+      return "dwelling";
+    case Activity::swinging:
+      return "swinging";
+    case Activity::resuming:
+      return "resuming";
+    case Activity::returning:
+      return "returning";
+    case Activity::stopping:
+      return "stopping";
+    case Activity::faulted:
+      return "faulted";
+  }
+  return "?";
+}
+
+const char* describe(EventKind kind) noexcept {
+  switch (kind) {
+    case EventKind::node_stage:
+      return "node stage";
+    case EventKind::node_problem:
+      return "node problem";
+    case EventKind::all_enabled:
+      return "all joints enabled";
+    case EventKind::approach_began:
+      return "approach began";
+    case EventKind::swing_began:
+      return "swing began";
+    case EventKind::selection_armed:
+      return "selection armed";
+    case EventKind::selection_acknowledged:
+      return "selection acknowledged";
+    case EventKind::selection_pulled:
+      return "selection pulled ahead";
+    case EventKind::selection_cancelled:
+      return "selection cancelled";
+    case EventKind::joint_passive:
+      return "joint passive";
+    case EventKind::contact_began:
+      return "contact began";
+    case EventKind::contact_ended:
+      return "contact ended";
+    case EventKind::joints_active:
+      return "joints active";
+    case EventKind::swing_ended:
+      return "swing ended";
+    case EventKind::swing_aborted:
+      return "swing aborted";
+    case EventKind::fault:
+      return "fault";
+  }
+  return "?";
+}
+
+const char* describe(AbortReason reason) noexcept {
+  switch (reason) {
+    case AbortReason::none:
+      return "not aborted";
+    case AbortReason::not_acknowledged:
+      return "a joint did not acknowledge the mode switch in time";
+    case AbortReason::condition:
+      return "the approach was not the planned one";
+    case AbortReason::joint_fault:
+      return "a joint reported a fault or was lost";
+    case AbortReason::stop_requested:
+      return "a stop was asked for";
+  }
+  return "?";
+}
+
+const char* describe(Refusal refusal) noexcept {
+  switch (refusal) {
+    case Refusal::none:
+      return "accepted";
+    case Refusal::not_ready:
+      return "the robot is not holding still with all joints enabled";
+    case Refusal::wrong_start:
+      return "the motion does not start where the robot is";
+    case Refusal::not_usable:
+      return "the motion is empty, not finite, or of another robot";
+  }
+  return "?";
+}
+
+SwingProgram program_of(const StrikePlan& plan) {
+  return {plan.approach,     plan.strike,  plan.contact_time, plan.switch_time,
+          plan.passive_time, plan.passive, plan.q_back_swing};
+}
+
+Supervisor::Supervisor(const RobotDescription& robot, const SupervisorConfig& config)
+    : robot_(robot),
+      config_(config),
+      chain_(robot),
+      limits_(motion_limits(robot)),
+      dof_(robot.dof()),
+      sync_period_(seconds(1.0 / robot.bus.knot_rate_hz)),
+      steps_per_sync_(static_cast<int>(sync_period_ / config.step)),
+      observer_(robot, chain_) {
+  require_fits(robot, bus_budget(robot));
+  if (steps_per_sync_ < 1 || (sync_period_ % config.step).ns != 0) {
+    throw DescriptionError(
+        fmt::format("{}: bus.knot_rate: a knot period of {:.3f} ms is not a multiple of the "
+                    "supervisor's step of {:.3f} ms",
+                    (robot.source / "robot.yaml").string(), sync_period_.seconds() * 1e3, config.step.seconds() * 1e3));
+  }
+  const double difference = model_self_check(robot);
+  if (!(difference <= kSelfCheckTolerance)) {
+    throw DescriptionError(
+        fmt::format("{}: the model disagrees with KDL by {:.2e} (relative); this is a defect in "
+                    "MRR or a description neither can represent",
+                    robot.name, difference));
+  }
+  for (int i = 0; i < dof_; ++i) {
+    const JointDescription& joint = robot.joints[at(i)];
+    NodeSettings settings;
+    settings.node_id = joint.node_id;
+    settings.configuration_hash = config.configuration_hash[at(i)];
+    settings.rated_torque_nm = joint.transmission.rated_nm;
+    settings.sync_period = sync_period_;
+    nodes_[at(i)] = NodeProxy(settings);
+  }
+  reference_ = at_rest(JointVector::Zero(dof_));
+  sample_ = {JointVector::Zero(dof_), JointVector::Zero(dof_), JointVector::Zero(dof_)};
+  outcome_.done = false;
+}
+
+void Supervisor::emit(EventKind kind, int joint, std::uint32_t value) noexcept {
+  if (!events_.push_back({now_, kind, joint, value})) ++dropped_events_;
+}
+
+JointVector Supervisor::measured_position() const noexcept {
+  JointVector q(dof_);
+  for (int i = 0; i < dof_; ++i) q[i] = nodes_[at(i)].measured().position_rad;
+  return q;
+}
+
+bool Supervisor::all_active() const noexcept {
+  for (int i = 0; i < dof_; ++i) {
+    if (nodes_[at(i)].measured().mode_display != kModeActive) return false;
+  }
+  return true;
+}
+
+bool Supervisor::motion_ended() const noexcept {
+  return sync_ >= motion_start_ && sync_period_ * (sync_ - motion_start_) >= motion_.duration();
+}
+
+std::uint32_t Supervisor::wire_mask(std::uint32_t passive) const noexcept {
+  std::uint32_t active = 0xFFFF'FFFFU;
+  for (int i = 0; i < dof_; ++i) {
+    if ((passive >> static_cast<unsigned>(i)) & 1U) active &= ~(1U << robot_.joints[at(i)].selection_bit);
+  }
+  return active;
+}
+
+void Supervisor::step(Time now, std::span<const can::ReceivedFrame> received, can::TransmitQueue& tx) noexcept {
+  now_ = now;
+  for (const can::ReceivedFrame& frame : received) {
+    for (int i = 0; i < dof_; ++i) nodes_[at(i)].receive(frame);
+  }
+  for (int i = 0; i < dof_; ++i) {
+    nodes_[at(i)].want_enabled(wanted_);
+    nodes_[at(i)].step(now, tx);
+  }
+  if (step_count_ == 0 || now - last_heartbeat_ >= kHeartbeatPeriod) {
+    last_heartbeat_ = now;
+    (void)tx.push_back(can::heartbeat_frame(can::kSupervisorNodeId, can::NmtState::operational));
+  }
+  watch_nodes();
+  if (!cycle_seen_) on_cycle();
+  if (step_count_ % steps_per_sync_ == 0) on_sync(tx);
+  ++step_count_;
+}
+
+void Supervisor::watch_nodes() noexcept {
+  bool all_enabled = true;
+  bool failed = false;
+  for (int i = 0; i < dof_; ++i) {
+    const NodeProxy& node = nodes_[at(i)];
+    if (node.stage() != shown_stage_[at(i)]) {
+      shown_stage_[at(i)] = node.stage();
+      emit(EventKind::node_stage, i, static_cast<std::uint32_t>(node.stage()));
+    }
+    if (node.problem() != shown_problem_[at(i)]) {
+      shown_problem_[at(i)] = node.problem();
+      emit(EventKind::node_problem, i, static_cast<std::uint32_t>(node.problem()));
+    }
+    if (node.stage() != NodeStage::enabled) all_enabled = false;
+    if (node.stage() == NodeStage::faulted || node.stage() == NodeStage::lost) {
+      failed = true;
+      if (activity_ != Activity::faulted) emit(EventKind::fault, i, node.problem_detail());
+    }
+  }
+  if (activity_ == Activity::bringing_up) {
+    // Old motions died with the fault or were never there: start from where the joints say they are.
+    if (all_enabled) {
+      reference_ = at_rest(measured_position());
+      motion_ = JointTrajectory(reference_);
+      motion_start_ = sync_ + kKnotsAhead;
+      activity_ = Activity::holding;
+      emit(EventKind::all_enabled);
+    }
+    return;
+  }
+  if (failed && activity_ != Activity::faulted) {
+    const bool in_swing = activity_ != Activity::holding;
+    motion_ = stopping_motion();
+    motion_start_ = sync_ + kKnotsAhead;
+    activity_ = Activity::faulted;
+    if (in_swing) {
+      outcome_.aborted = AbortReason::joint_fault;
+      outcome_.contact = observer_.report();
+      outcome_.done = true;
+      emit(EventKind::swing_aborted, -1, static_cast<std::uint32_t>(AbortReason::joint_fault));
+    }
+  } else if (!all_enabled && activity_ == Activity::holding) {
+    activity_ = Activity::bringing_up;
+  }
+  if (recover_wanted_) {
+    recover_wanted_ = false;
+    if (activity_ == Activity::faulted) {
+      for (int i = 0; i < dof_; ++i) {
+        if (nodes_[at(i)].stage() == NodeStage::faulted) nodes_[at(i)].reset_fault();
+      }
+      activity_ = Activity::bringing_up;
+    }
+  }
+}
+
+Refusal Supervisor::execute(const StrikePlan& plan) noexcept {
+  if (activity_ != Activity::holding) return Refusal::not_ready;
+  if (plan.approach.dof() != dof_ || plan.strike.dof() != dof_ || !(plan.strike.duration() > Duration{})) {
+    return Refusal::not_usable;
+  }
+  if (!((plan.approach.start().q - reference_.q).cwiseAbs().maxCoeff() <= kStartTolerance_rad)) {
+    return Refusal::wrong_start;
+  }
+  program_ = program_of(plan);
+  condition_.emplace(chain_, plan, switch_config(robot_));
+  observer_.reset(plan.normal);
+  outcome_ = SwingOutcome{};
+  for (auto& seen : outcome_.passive_seen) seen = Time{-1};
+  selection_ = Selection::none;
+  contact_phase_ = ContactPhase::none;
+  begin_motion(program_.approach, Activity::approaching);
+  emit(EventKind::approach_began);
+  return Refusal::none;
+}
+
+void Supervisor::begin_motion(const JointTrajectory& trajectory, Activity activity) noexcept {
+  motion_ = trajectory;
+  motion_start_ = sync_ + kKnotsAhead;
+  activity_ = activity;
+  activity_since_ = now_;
+}
+
+JointTrajectory Supervisor::stopping_motion() const noexcept {
+  // The velocity falls to zero on a cubic whose steepest slope is 1.5 v/T; starting acceleration is carried along.
+  double duration_s = sync_period_.seconds();
+  for (int i = 0; i < dof_; ++i) {
+    const double limit = kStopShare * robot_.joints[at(i)].limits.acceleration_rad_s2;
+    duration_s = std::max(duration_s, 1.5 * std::abs(reference_.qd[i]) / limit);
+  }
+  const auto knots = static_cast<std::int64_t>(std::ceil(duration_s / sync_period_.seconds()));
+  const Duration duration = sync_period_ * std::max<std::int64_t>(knots, 4);
+  JointMotion end = at_rest(reference_.q + 0.5 * duration.seconds() * reference_.qd);
+  for (int i = 0; i < dof_; ++i) end.q[i] = std::clamp(end.q[i], limits_.lower_rad[i], limits_.upper_rad[i]);
+  JointTrajectory trajectory(reference_);
+  if (!trajectory.append(end, duration)) return JointTrajectory(at_rest(reference_.q));
+  return trajectory;
+}
+
+void Supervisor::on_sync(can::TransmitQueue& tx) noexcept {
+  ++sync_;
+  if (sync_ == 0) first_sync_ = now_;
+  for (int i = 0; i < dof_; ++i) nodes_[at(i)].begin_cycle();
+  cycle_seen_ = false;
+  (void)tx.push_back(can::sync_frame(sync_counter(sync_)));
+  advance_activity();
+  advance_selection(tx);
+  stream_knots(tx);
+}
+
+void Supervisor::on_cycle() noexcept {
+  for (int i = 0; i < dof_; ++i) {
+    if (!nodes_[at(i)].cycle_complete()) return;
+  }
+  cycle_seen_ = true;
+  for (int i = 0; i < dof_; ++i) {
+    const NodeMeasurement& measured = nodes_[at(i)].measured();
+    sample_.q[i] = measured.position_rad;
+    sample_.qd[i] = measured.velocity_rad_s;
+    sample_.torque_nm[i] = measured.torque_nm;
+  }
+  if (activity_ != Activity::swinging && activity_ != Activity::resuming) return;
+
+  // Joints moved by a passive phase stay watched until the blow is over.
+  const ContactReport& contact = observer_.step(knot_time(sync_), sample_);
+  for (int i = 0; i < dof_; ++i) {
+    const NodeMeasurement& measured = nodes_[at(i)].measured();
+    if (measured.mode_display == kModePassive && outcome_.passive_seen[at(i)].ns < 0) {
+      outcome_.passive_seen[at(i)] = knot_time(sync_);
+      emit(EventKind::joint_passive, i);
+    }
+    if (contact.phase == ContactPhase::touching) {
+      outcome_.peak_torque_nm[at(i)] = std::max(outcome_.peak_torque_nm[at(i)], std::abs(measured.torque_nm));
+    }
+  }
+  if (contact.phase != contact_phase_) {
+    if (contact_phase_ == ContactPhase::none) emit(EventKind::contact_began);
+    if (contact.phase == ContactPhase::over) emit(EventKind::contact_ended);
+    contact_phase_ = contact.phase;
+  }
+  if (activity_ == Activity::swinging && contact_phase_ == ContactPhase::none) condition_->step(sample_.q, sample_.qd);
+}
+
+void Supervisor::advance_activity() noexcept {
+  if (stop_wanted_) {
+    stop_wanted_ = false;
+    if (activity_ != Activity::holding && activity_ != Activity::bringing_up && activity_ != Activity::faulted) {
+      abort_swing(AbortReason::stop_requested);
+    }
+  }
+  switch (activity_) {
+    case Activity::bringing_up:
+    case Activity::holding:
+    case Activity::faulted:
+      break;
+    case Activity::approaching:
+      if (motion_ended()) {
+        activity_ = Activity::dwelling;
+        activity_since_ = now_;
+      }
+      break;
+    case Activity::dwelling:
+      if (now_ - activity_since_ >= config_.dwell) {
+        begin_motion(program_.strike, Activity::swinging);
+        outcome_.began = knot_time(motion_start_);
+        outcome_.planned_contact = outcome_.began + program_.contact_time;
+        outcome_.switch_effective = outcome_.began + program_.switch_time;
+        selection_ = program_.passive != 0 ? Selection::waiting : Selection::none;
+        emit(EventKind::swing_began);
+      }
+      break;
+    case Activity::swinging:
+      if (selection_ == Selection::in_force) {
+        const bool time_is_up = now_ >= outcome_.switch_effective + program_.passive_time;
+        if (contact_phase_ == ContactPhase::over || time_is_up) begin_resume();
+      } else if (motion_ended()) {
+        // The report is closed by the time the arm is back; a blow still open then has ended by leaving.
+        finish_swing();
+      }
+      break;
+    case Activity::resuming: {
+      bool still = all_active() && motion_ended();
+      for (int i = 0; i < dof_; ++i) {
+        if (!(std::abs(nodes_[at(i)].measured().velocity_rad_s) < config_.settled_rad_s)) still = false;
+      }
+      still_cycles_ = still ? still_cycles_ + 1 : 0;
+      if (sync_period_ * still_cycles_ >= config_.settled_for) {
+        emit(EventKind::joints_active);
+        selection_ = Selection::none;
+        begin_return();
+      }
+      break;
+    }
+    case Activity::returning:
+      if (motion_ended()) finish_swing();
+      break;
+    case Activity::stopping:
+      if (motion_ended() && all_active()) {
+        activity_ = Activity::holding;
+        outcome_.contact = observer_.report();
+        outcome_.done = true;
+      }
+      break;
+  }
+}
+
+void Supervisor::send_selection(std::uint32_t passive, can::SelectionAction action, Time effective) noexcept {
+  const Duration since_first = effective - first_sync_;
+  const std::int64_t knot = since_first / sync_period_;
+  selection_sequence_ = static_cast<std::uint8_t>(selection_sequence_ % can::kSelectionSequenceMask + 1);  // 1 .. 31
+  command_.mask = wire_mask(passive);
+  command_.sync_counter = sync_counter(knot);
+  command_.offset_us = static_cast<std::uint16_t>((since_first % sync_period_).ns / 1000);
+  command_.sequence = selection_sequence_;
+  command_.action = action;
+  command_pending_ = true;
+  acknowledged_ = false;
+}
+
+bool Supervisor::all_acknowledged() const noexcept {
+  for (int i = 0; i < dof_; ++i) {
+    const std::uint8_t acknowledged = nodes_[at(i)].measured().selection_acknowledged;
+    if (can::acknowledged_sequence(acknowledged) != selection_sequence_) return false;
+    if ((acknowledged >> 5U) == static_cast<unsigned>(can::SelectionState::refused)) return false;
+  }
+  return true;
+}
+
+void Supervisor::advance_selection(can::TransmitQueue& tx) noexcept {
+  if (command_pending_ && all_acknowledged()) {
+    command_pending_ = false;
+    acknowledged_ = true;
+    if (selection_ == Selection::armed) emit(EventKind::selection_acknowledged);
+  }
+  if (activity_ == Activity::swinging) {
+    if (selection_ == Selection::waiting && outcome_.switch_effective - now_ <= config_.arm_ahead) {
+      send_selection(program_.passive, can::SelectionAction::arm, outcome_.switch_effective);
+      selection_ = Selection::armed;
+      emit(EventKind::selection_armed, -1, selection_sequence_);
+    }
+    if (selection_ == Selection::armed) {
+      const SwitchState& condition = condition_->state();
+      outcome_.switch_state = condition;
+      if (!acknowledged_ && outcome_.switch_effective - now_ <= config_.acknowledge_before) {
+        send_selection(0, can::SelectionAction::cancel, now_);
+        emit(EventKind::selection_cancelled);
+        abort_swing(AbortReason::not_acknowledged);
+      } else if (condition.verdict == SwitchVerdict::cancel) {
+        send_selection(0, can::SelectionAction::cancel, now_);
+        emit(EventKind::selection_cancelled);
+        abort_swing(AbortReason::condition);
+      } else if (now_ >= outcome_.switch_effective) {
+        selection_ = Selection::in_force;
+      } else if (condition.verdict == SwitchVerdict::switch_now && outcome_.switch_effective - now_ > kPullMargin) {
+        send_selection(program_.passive, can::SelectionAction::now, now_);
+        outcome_.switch_effective = now_;
+        outcome_.pulled = true;
+        selection_ = Selection::in_force;
+        emit(EventKind::selection_pulled, -1, selection_sequence_);
+      }
+    }
+  }
+  if (command_pending_) (void)tx.push_back(can::selection_frame(command_));
+}
+
+void Supervisor::begin_resume() noexcept {
+  send_selection(0, can::SelectionAction::now, now_);
+  selection_ = Selection::releasing;
+  still_cycles_ = 0;
+  begin_motion(stopping_motion(), Activity::resuming);
+}
+
+void Supervisor::begin_return() noexcept {
+  // Joints that were passive rest where they came to; the others where their reference stopped.
+  JointMotion start = at_rest(reference_.q);
+  double duration_s = 0.2;
+  for (int i = 0; i < dof_; ++i) {
+    // Rest to rest on a quintic: peak velocity 1.875 d/T, peak acceleration 5.774 d/T^2.
+    const double travel = std::abs(program_.q_back_swing[i] - start.q[i]);
+    duration_s = std::max({duration_s, 1.875 * travel / (kReturnShare * limits_.velocity_rad_s[i]),
+                           std::sqrt(5.774 * travel / (kReturnShare * limits_.acceleration_rad_s2[i]))});
+  }
+  const auto knots = static_cast<std::int64_t>(std::ceil(duration_s / sync_period_.seconds()));
+  JointTrajectory trajectory(start);
+  (void)trajectory.append(at_rest(program_.q_back_swing), sync_period_ * knots);
+  begin_motion(trajectory, Activity::returning);
+}
+
+void Supervisor::abort_swing(AbortReason reason) noexcept {
+  outcome_.aborted = reason;
+  emit(EventKind::swing_aborted, -1, static_cast<std::uint32_t>(reason));
+  if (selection_ == Selection::in_force || selection_ == Selection::releasing) {
+    begin_resume();
+  } else {
+    selection_ = Selection::none;
+    begin_motion(stopping_motion(), Activity::stopping);
+  }
+}
+
+void Supervisor::finish_swing() noexcept {
+  outcome_.contact = observer_.report();
+  outcome_.done = true;
+  selection_ = Selection::none;
+  activity_ = Activity::holding;
+  emit(EventKind::swing_ended);
+}
+
+void Supervisor::stream_knots(can::TransmitQueue& tx) noexcept {
+  const std::int64_t knot = sync_ + kKnotsAhead;
+  if (activity_ != Activity::bringing_up) {
+    motion_.sample(sync_period_ * (knot - motion_start_), reference_);
+    // Who is passive, or just came back and has not settled, is led by nobody: its own position is echoed, so that it
+    // takes over from where it is.
+    if (activity_ == Activity::resuming) {
+      for (int i = 0; i < dof_; ++i) {
+        if (((program_.passive >> static_cast<unsigned>(i)) & 1U) == 0) continue;
+        reference_.q[i] = nodes_[at(i)].measured().position_rad;
+        reference_.qd[i] = 0.0;
+        reference_.qdd[i] = 0.0;
+      }
+    }
+  }
+  ++knot_sequence_;
+  // What the links will ask of the transmissions: the feedforward of modules without a torque sensor.
+  const JointVector model_torque = chain_.inverse_dynamics(reference_.q, reference_.qd, reference_.qdd);
+  for (int i = 0; i < dof_; ++i) {
+    const NodeProxy& node = nodes_[at(i)];
+    if (node.stage() != NodeStage::enabled || !node.measured().valid) continue;
+    const std::uint8_t id = node.settings().node_id;
+    double q = reference_.q[i];
+    double qd = reference_.qd[i];
+    double qdd = reference_.qdd[i];
+    if (activity_ == Activity::bringing_up) {
+      q = node.measured().position_rad;
+      qd = qdd = 0.0;
+    }
+    const auto position = can::urad_from_rad(q);
+    const auto velocity = can::urad_s_from_rad_s(qd);
+    const auto acceleration = can::mrad_s2_from_rad_s2(qdd);
+    const auto rated_mnm = static_cast<std::uint32_t>(std::lround(node.settings().rated_torque_nm * 1e3));
+    const auto torque = can::permille_from_nm(model_torque[i], rated_mnm);
+    // A knot that is not a number is not sent: the module's watchdog then stops the joint.
+    if (!position || !velocity || !acceleration || !torque) continue;
+    (void)tx.push_back(can::pack_rpdo2(id, {*position, *velocity}));
+    (void)tx.push_back(can::pack_rpdo3(id, {*acceleration, *torque, knot_sequence_}));
+  }
+}
+
+}  // namespace mrr::sup

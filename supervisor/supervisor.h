@@ -1,0 +1,210 @@
+// Room: supervisor. The robot's core as an object that is stepped: bring-up, streaming, arming the switch, watching the
+// blow, coming back. May touch common, can_protocol and the parts of this room. No I/O, no clock; no heap in step().
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <optional>
+#include <span>
+
+#include "can_protocol/client.h"
+#include "common/core/containers.h"
+#include "common/core/time.h"
+#include "common/robot/robot.h"
+#include "supervisor/master/node_proxy.h"
+#include "supervisor/model/chain.h"
+#include "supervisor/strike/contact_observer.h"
+#include "supervisor/strike/planner.h"
+#include "supervisor/strike/switch_condition.h"
+
+namespace mrr::sup {
+
+/// Times that are policy, not physics.
+struct SupervisorConfig {
+  Duration step = milliseconds(1);                             ///< SYNC goes out every knot period, a multiple of it
+  std::array<std::uint32_t, kMaxJoints> configuration_hash{};  ///< expected of each module
+  Duration dwell = milliseconds(200);                          ///< at rest before a swing
+  Duration arm_ahead = milliseconds(400);           ///< the selection is armed this long before it takes effect
+  Duration acknowledge_before = milliseconds(160);  ///< not acknowledged by then: the swing is aborted
+  double settled_rad_s = 0.02;                      ///< slower than this on all joints counts as at rest
+  Duration settled_for = milliseconds(40);
+};
+
+enum class Activity : std::uint8_t {
+  bringing_up,  ///< not all joints are enabled
+  holding,
+  approaching,  ///< to the back-swing start
+  dwelling,
+  swinging,
+  resuming,  ///< passive joints come back
+  returning,
+  stopping,  ///< a swing was aborted
+  faulted,   ///< a joint reports a fault or is lost; the others hold
+};
+[[nodiscard]] const char* describe(Activity activity) noexcept;
+
+enum class EventKind : std::uint8_t {
+  node_stage,    ///< joint, value: NodeStage
+  node_problem,  ///< joint, value: NodeProblem
+  all_enabled,
+  approach_began,
+  swing_began,
+  selection_armed,  ///< value: sequence
+  selection_acknowledged,
+  selection_pulled,  ///< `now` was sent: contact comes earlier than armed for
+  selection_cancelled,
+  joint_passive,  ///< joint: seen in its mode display
+  contact_began,
+  contact_ended,
+  joints_active,
+  swing_ended,
+  swing_aborted,  ///< value: AbortReason
+  fault,          ///< joint, value: emergency code
+};
+[[nodiscard]] const char* describe(EventKind kind) noexcept;
+
+struct Event {
+  Time at;
+  EventKind kind{};
+  int joint = -1;  ///< 0-based; -1: the robot
+  std::uint32_t value = 0;
+};
+using EventQueue = StaticVector<Event, 64>;
+
+enum class AbortReason : std::uint8_t {
+  none,
+  not_acknowledged,  ///< a module did not acknowledge the selection in time
+  condition,         ///< the approach was not the planned one; see SwingOutcome::switch_state
+  joint_fault,
+  stop_requested,
+};
+[[nodiscard]] const char* describe(AbortReason reason) noexcept;
+
+/// What the robot itself saw of a swing.
+struct SwingOutcome {
+  bool done = false;
+  AbortReason aborted = AbortReason::none;
+  ContactReport contact;     ///< phase none: nothing was hit
+  SwitchState switch_state;  ///< when the switch was decided
+  bool pulled = false;       ///< the switch was pulled before its armed time
+  Time began;                ///< trajectory time zero, supervisor's clock
+  Time planned_contact;
+  Time switch_effective;                            ///< armed for, supervisor's clock
+  std::array<Time, kMaxJoints> passive_seen{};      ///< SYNC at which the joint showed passive; ns < 0: never
+  std::array<double, kMaxJoints> peak_torque_nm{};  ///< joint torque sensors at the knot rate, during contact
+};
+
+/// One swing as the cycle needs it; copied in by execute().
+struct SwingProgram {
+  JointTrajectory approach;
+  JointTrajectory strike;
+  Duration contact_time;
+  Duration switch_time;
+  Duration passive_time;
+  std::uint32_t passive = 0;  ///< bit i: joint i
+  JointVector q_back_swing;
+};
+[[nodiscard]] SwingProgram program_of(const StrikePlan& plan);
+
+enum class Refusal : std::uint8_t { none, not_ready, wrong_start, not_usable };
+[[nodiscard]] const char* describe(Refusal refusal) noexcept;
+
+class Supervisor {
+ public:
+  /// Checks the bus budget and the model against KDL; throws DescriptionError naming what does not fit.
+  Supervisor(const RobotDescription& robot, const SupervisorConfig& config);
+
+  /// One step of `config.step`. Frames that arrived since the last one, stamped on the same clock as `now`.
+  void step(Time now, std::span<const can::ReceivedFrame> received, can::TransmitQueue& tx) noexcept;
+
+  /// Bring all joints up and enable them; false: let go of them in a controlled way.
+  void enable(bool wanted) noexcept { wanted_ = wanted; }
+  /// Run a swing. Accepted only when holding, and only if it starts where the robot is.
+  [[nodiscard]] Refusal execute(const StrikePlan& plan) noexcept;
+  /// Controlled stop, then hold.
+  void stop() noexcept { stop_wanted_ = true; }
+  /// Acknowledge faults; joints are brought up again and held where they are.
+  void recover() noexcept { recover_wanted_ = true; }
+
+  [[nodiscard]] Activity activity() const noexcept { return activity_; }
+  [[nodiscard]] const Chain& chain() const noexcept { return chain_; }
+  [[nodiscard]] const NodeProxy& node(int joint) const noexcept { return nodes_[at(joint)]; }
+  [[nodiscard]] const SwingOutcome& outcome() const noexcept { return outcome_; }
+  /// Where the joints are told to be, by the last knot sent.
+  [[nodiscard]] const JointMotion& reference() const noexcept { return reference_; }
+  /// Measured, rad.
+  [[nodiscard]] JointVector measured_position() const noexcept;
+  /// Events since the caller last cleared them; when full, later ones are dropped and counted.
+  [[nodiscard]] EventQueue& events() noexcept { return events_; }
+  [[nodiscard]] std::uint32_t dropped_events() const noexcept { return dropped_events_; }
+  [[nodiscard]] const ContactObserver& observer() const noexcept { return observer_; }
+
+ private:
+  static constexpr std::size_t at(int i) noexcept { return static_cast<std::size_t>(i); }
+  void emit(EventKind kind, int joint = -1, std::uint32_t value = 0) noexcept;
+  void watch_nodes() noexcept;
+  void on_sync(can::TransmitQueue& tx) noexcept;
+  void on_cycle() noexcept;
+  void advance_activity() noexcept;
+  void advance_selection(can::TransmitQueue& tx) noexcept;
+  void stream_knots(can::TransmitQueue& tx) noexcept;
+  void begin_motion(const JointTrajectory& trajectory, Activity activity) noexcept;
+  void begin_resume() noexcept;
+  void begin_return() noexcept;
+  void abort_swing(AbortReason reason) noexcept;
+  void finish_swing() noexcept;
+  [[nodiscard]] JointTrajectory stopping_motion() const noexcept;
+  void send_selection(std::uint32_t passive, can::SelectionAction action, Time effective) noexcept;
+  [[nodiscard]] std::uint32_t wire_mask(std::uint32_t passive) const noexcept;
+  [[nodiscard]] bool all_acknowledged() const noexcept;
+  [[nodiscard]] Time knot_time(std::int64_t knot) const noexcept { return first_sync_ + sync_period_ * knot; }
+  [[nodiscard]] bool motion_ended() const noexcept;
+  [[nodiscard]] bool all_active() const noexcept;
+
+  RobotDescription robot_;
+  SupervisorConfig config_;
+  Chain chain_;
+  MotionLimits limits_;
+  int dof_;
+  Duration sync_period_;
+  int steps_per_sync_;
+  std::array<NodeProxy, kMaxJoints> nodes_;
+  std::array<NodeStage, kMaxJoints> shown_stage_{};
+  std::array<NodeProblem, kMaxJoints> shown_problem_{};
+
+  Time now_;
+  std::int64_t step_count_ = 0;
+  std::int64_t sync_ = -1;  // index of the last SYNC; knot k is reached at SYNC k
+  Time first_sync_;
+  Time last_heartbeat_;
+  bool cycle_seen_ = false;
+  bool wanted_ = false;
+  bool stop_wanted_ = false;
+  bool recover_wanted_ = false;
+
+  Activity activity_ = Activity::bringing_up;
+  Time activity_since_;
+  JointTrajectory motion_;
+  std::int64_t motion_start_ = 0;  // knot at which motion_ is at t = 0
+  JointMotion reference_;
+  std::uint16_t knot_sequence_ = 0;
+  SwingProgram program_;
+  std::optional<SwitchCondition> condition_;
+  ContactObserver observer_;
+  ContactSample sample_;
+  SwingOutcome outcome_;
+  ContactPhase contact_phase_ = ContactPhase::none;
+  int still_cycles_ = 0;
+
+  enum class Selection : std::uint8_t { none, waiting, armed, in_force, releasing };
+  Selection selection_ = Selection::none;
+  can::SelectionCommand command_;
+  bool command_pending_ = false;  // repeated every SYNC until acknowledged
+  std::uint8_t selection_sequence_ = 0;
+  bool acknowledged_ = false;
+
+  EventQueue events_;
+  std::uint32_t dropped_events_ = 0;
+};
+
+}  // namespace mrr::sup
