@@ -17,10 +17,10 @@ inline constexpr bool kCountsAllocations = true;
 
 #if !defined(__SANITIZE_ADDRESS__)
 extern "C" {
-void* __libc_malloc(std::size_t size);                                // NOLINT: glibc's own name
-void* __libc_calloc(std::size_t count, std::size_t size);             // NOLINT
-void* __libc_realloc(void* old, std::size_t size);                    // NOLINT
-void* __libc_memalign(std::size_t alignment, std::size_t size);       // NOLINT
+void* __libc_malloc(std::size_t size);                           // NOLINT: glibc's own name
+void* __libc_calloc(std::size_t count, std::size_t size);        // NOLINT
+void* __libc_realloc(void* old, std::size_t size);               // NOLINT
+void* __libc_memalign(std::size_t alignment, std::size_t size);  // NOLINT
 void* malloc(std::size_t size) noexcept {
   mrr::test::allocations.fetch_add(1, std::memory_order_relaxed);
   return __libc_malloc(size);

@@ -1,7 +1,9 @@
-// Test support: arms written as Denavit-Hartenberg rows (the reference's convention) and random chains, as robot descriptions.
+// Test support: arms written as Denavit-Hartenberg rows (the reference's convention) and random chains, as robot
+// descriptions.
 #pragma once
 
 #include <Eigen/Geometry>
+#include <string>
 #include <vector>
 
 #include "common/core/random.h"
@@ -32,7 +34,14 @@ struct DhArm {
   }
 };
 
-/// A URDF joint frame is the distal frame of the link before, so the offset of joint i+1 is the constant part of DH row i.
+/// "j1" for ("j", 0).
+inline std::string numbered(std::string letter, std::size_t index) {
+  letter += std::to_string(index + 1);
+  return letter;
+}
+
+/// A URDF joint frame is the distal frame of the link before, so the offset of joint i+1 is the constant part of DH row
+/// i.
 inline DhArm make_dh_arm(const std::vector<DhLink>& links, const Eigen::Vector3d& tool_m) {
   DhArm arm;
   arm.robot.name = "dh";
@@ -43,9 +52,9 @@ inline DhArm make_dh_arm(const std::vector<DhLink>& links, const Eigen::Vector3d
                                         Eigen::AngleAxisd(row.alpha_rad, Eigen::Vector3d::UnitX());
     const Eigen::Matrix3d R = to_distal.linear();
     JointDescription joint;
-    joint.name = "j" + std::to_string(arm.robot.joints.size() + 1);
+    joint.name = numbered("j", arm.robot.joints.size());
     joint.offset = offset;
-    joint.link = {.name = "l" + std::to_string(arm.robot.joints.size() + 1),
+    joint.link = {.name = numbered("l", arm.robot.joints.size()),
                   .mass_kg = row.mass_kg,
                   .com_m = to_distal * row.com_m,
                   .inertia_kg_m2 = R * row.inertia_kg_m2 * R.transpose()};
@@ -55,14 +64,17 @@ inline DhArm make_dh_arm(const std::vector<DhLink>& links, const Eigen::Vector3d
     arm.link_to_distal.push_back(R);
     offset = {.rotation = R, .translation_m = to_distal.translation()};
   }
-  arm.robot.hammer.face = {.rotation = offset.rotation, .translation_m = offset.translation_m + offset.rotation * tool_m};
+  arm.robot.hammer.face = {.rotation = offset.rotation,
+                           .translation_m = offset.translation_m + offset.rotation * tool_m};
   return arm;
 }
 
 /// Table 3 of the reference: the arm of its experiments.
 inline DhArm reference_arm() {
   constexpr double kRightAngle = 1.57079632679489661923;
-  const auto diagonal = [](double x, double y, double z) { return Eigen::Matrix3d(Eigen::Vector3d(x, y, z).asDiagonal()); };
+  const auto diagonal = [](double x, double y, double z) {
+    return Eigen::Matrix3d(Eigen::Vector3d(x, y, z).asDiagonal());
+  };
   return make_dh_arm({{0.48, 0, 0, kRightAngle, 3.5, {0, -0.24, 0}, diagonal(.25, .017, .25), 133, 1.68e-5},
                       {0, 0, 0.38, 0, 3.5, {-0.19, 0, 0}, diagonal(.017, .25, .25), 101, 1.68e-5},
                       {0, 0, 0.38, 0, 1.0, {-0.03, 0, 0}, diagonal(.017, .25, .25), 101, 1.68e-5}},
@@ -88,18 +100,19 @@ inline RobotDescription random_robot(Random& random, int dof) {
   robot.gravity_m_s2 = 9.81 * random_unit(random);
   for (int i = 0; i < dof; ++i) {
     JointDescription joint;
-    joint.name = "j" + std::to_string(i + 1);
+    joint.name = numbered("j", robot.joints.size());
     joint.offset.rotation = random_rotation(random);
     joint.offset.translation_m = 0.4 * random.uniform() * random_unit(random);
     joint.axis = random_unit(random);
     // The second moments of a mass distribution may be anything positive; inertia follows from them.
     const Eigen::Vector3d moments{random.uniform(.002, .1), random.uniform(.002, .1), random.uniform(.002, .1)};
     const Eigen::Matrix3d R = random_rotation(random);
-    joint.link = {.name = "l" + std::to_string(i + 1),
-                  .mass_kg = random.uniform(0.3, 4.0),
-                  .com_m = 0.2 * random.uniform() * random_unit(random),
-                  .inertia_kg_m2 =
-                      R * (moments.sum() * Eigen::Matrix3d::Identity() - Eigen::Matrix3d(moments.asDiagonal())) * R.transpose()};
+    joint.link = {
+        .name = numbered("l", robot.joints.size()),
+        .mass_kg = random.uniform(0.3, 4.0),
+        .com_m = 0.2 * random.uniform() * random_unit(random),
+        .inertia_kg_m2 =
+            R * (moments.sum() * Eigen::Matrix3d::Identity() - Eigen::Matrix3d(moments.asDiagonal())) * R.transpose()};
     joint.transmission.gear_ratio = random.uniform(50.0, 160.0);
     joint.motor.rotor_inertia_kg_m2 = random.uniform(0.5e-5, 6e-5);
     robot.joints.push_back(joint);
