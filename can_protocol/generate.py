@@ -203,6 +203,8 @@ class Schema:
             if entry.size > 32:
                 raise SchemaError(f"{entry.name}: larger than 32 bytes")
             limits = entry.limits()
+            if limits and entry.type == "u64":
+                raise SchemaError(f"{entry.name}: u64 objects can have no limits")
             if limits and not isinstance(entry.default, str) and not limits[0] <= entry.default <= limits[1]:
                 raise SchemaError(f"{entry.name}: default {entry.default} outside {limits[:2]}")
         for pdo in self.rpdos + self.tpdos:

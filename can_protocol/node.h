@@ -70,7 +70,7 @@ class Node {
   void clear(Emergency code, Time now) noexcept;
   [[nodiscard]] bool is_present(Emergency code) const noexcept;
 
-  /// The CAN controller went bus-off (1029h decides the state), came back (EMCY 8140h), is error passive, lost frames.
+  /// The CAN controller went bus-off (1029h decides the state); it came back (EMCY 8140h).
   void bus_off(Time now) noexcept;
   void bus_recovered(Time now) noexcept;
 
@@ -82,7 +82,8 @@ class Node {
 
  private:
   static constexpr std::size_t kMaxPdoBytes = 8;
-  static constexpr std::size_t kMaxErrors = 16;
+  static constexpr std::size_t kMaxErrors = 48;  // there are fewer codes
+  static constexpr std::size_t kMaxPendingEmergencies = 16;
   static constexpr std::size_t kMaxWatched = 4;
 
   struct Rpdo {
@@ -91,6 +92,7 @@ class Node {
     bool pending = false;  ///< waits for SYNC
     bool watched = false;  ///< one has come: the deadline runs
     bool late = false;
+    bool too_short = false;  ///< the last one was
   };
   struct Tpdo {
     std::array<std::uint8_t, kMaxPdoBytes> last{};  ///< as last sent
@@ -125,13 +127,14 @@ class Node {
     bool toggle = false;
     Time last{};
   };
-  /// A mapped object: an entry, or a dummy of `size` bytes when null.
+  /// A mapped object: an entry, or a dummy (CiA 301: filler in an RPDO) of `size` bytes when null.
   struct Mapped {
     const Entry* entry;
     std::uint8_t size;
   };
 
-  void start(Time now, TransmitQueue& tx) noexcept;
+  void boot_up(Time now, TransmitQueue& tx) noexcept;
+  void restart_tpdo(std::size_t i) noexcept;
   void enter(NmtState state, Time now) noexcept;
   void reset(ResetKind kind, Time now, TransmitQueue& tx) noexcept;
   void error_behaviour(Time now) noexcept;
@@ -151,27 +154,26 @@ class Node {
 
   /// Everything that decides about one write by SDO, then its effect.
   Abort write(const Entry& entry, const Value& value, Time now) noexcept;
-  Abort check_communication(const Entry& entry, const Value& value, Time now) const noexcept;
+  [[nodiscard]] Abort check_communication(const Entry& entry, const Value& value) const noexcept;
   [[nodiscard]] Abort check_pdo_communication(const PdoCommunication& pdo, bool receive, std::uint8_t sub,
                                               const Value& value) const noexcept;
   [[nodiscard]] Abort check_pdo_mapping(const PdoMapping& map, const PdoCommunication& pdo, bool receive,
                                         std::uint8_t sub, const Value& value) const noexcept;
   [[nodiscard]] Abort find_mapped(std::uint32_t mapping, bool receive, Mapped& out) const noexcept;
-  [[nodiscard]] const Entry* find(std::uint16_t index, std::uint8_t sub) const noexcept;
+  [[nodiscard]] Abort find(std::uint16_t index, std::uint8_t sub, const Entry*& out) const noexcept;
   void communication_written(const Entry& entry, Time now) noexcept;
   void after_write(ObjectId id, WriteSource source, Time now) noexcept;
 
-  [[nodiscard]] bool pack(std::size_t i, std::array<std::uint8_t, kMaxPdoBytes>& data,
-                          std::uint8_t& size) const noexcept;
+  /// The mapped objects' bytes and their number; 0 if nothing is mapped.
+  [[nodiscard]] std::size_t pack(std::size_t i, std::array<std::uint8_t, kMaxPdoBytes>& data) const noexcept;
   void send_tpdo(std::size_t i, Time now, TransmitQueue& tx) noexcept;
   void tick_tpdo(std::size_t i, Time now, TransmitQueue& tx) noexcept;
   void tick_watched(Time now) noexcept;
   void tick_emergency(Time now, TransmitQueue& tx) noexcept;
   void queue_emergency(std::uint16_t code, const std::array<std::uint8_t, 5>& detail) noexcept;
   void update_error_register() noexcept;
-  bool send(const Frame& f, TransmitQueue& tx) noexcept;
+  void send(const Frame& f, TransmitQueue& tx) noexcept;
   void reject() noexcept { ++od_.count_rejected_frames; }
-  void copy_range(const ObjectDictionary& from, std::uint16_t low, std::uint16_t high, std::uint8_t flag) noexcept;
 
   ObjectDictionary& od_;
   NodeConfig config_;
@@ -186,7 +188,7 @@ class Node {
   std::array<Tpdo, kTpdoCount> tpdo_{};
   std::array<Watched, kMaxWatched> watched_{};
   StaticVector<Error, kMaxErrors> errors_;
-  RingBuffer<PendingEmergency, kMaxErrors> emergencies_;
+  RingBuffer<PendingEmergency, kMaxPendingEmergencies> emergencies_;
   bool has_sent_emergency_ = false;
   Time emergency_sent_{};
   Sdo sdo_;
