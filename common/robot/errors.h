@@ -18,4 +18,14 @@ class PlanError : public std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
+/// `place`: `problem` and the full stop it lacks (a question keeps its mark); control characters become spaces.
+[[nodiscard]] inline DescriptionError description_error(const std::string& place, const std::string& problem) {
+  std::string sentence = place + ": " + problem;
+  for (char& c : sentence) {
+    if (static_cast<unsigned char>(c) < 0x20U) c = ' ';
+  }
+  if (sentence.back() != '?') sentence += '.';
+  return DescriptionError(sentence);
+}
+
 }  // namespace mrr

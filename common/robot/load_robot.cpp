@@ -221,6 +221,7 @@ void read_joint(const YamlReader& yaml, JointDescription& joint, const BusDescri
   joint.limits.acceleration_rad_s2 = limits.number("acceleration", Unit::angular_acceleration, Range::positive(1000.0));
   joint.limits.following_error_rad = limits.number("following_error", Unit::angle, Range::positive(kPi));
   joint.limits.following_error_time_s = limits.number("following_error_time", Unit::time, {0.0, 10.0});
+  joint.park_rad = yaml.number("park", Unit::angle, {joint.limits.lower_rad, joint.limits.upper_rad}, 0.0);
 
   const YamlReader motor = yaml.section("motor");
   joint.transmission = read_transmission(yaml.section("transmission"));
@@ -330,8 +331,8 @@ double cyclic_bus_load(const BusDescription& bus, int joints) {
 RobotDescription load_robot(const std::filesystem::path& directory) {
   std::error_code ec;
   if (!std::filesystem::is_directory(directory, ec)) {
-    throw DescriptionError(directory.string() +
-                           ": there is no such directory; give one that holds robot.urdf and robot.yaml.");
+    throw description_error(directory.string(),
+                            "there is no such directory; give one that holds robot.urdf and robot.yaml");
   }
   UrdfChain chain = read_urdf_chain(directory / "robot.urdf");
   const YamlReader yaml = YamlReader::from_file(directory / "robot.yaml");

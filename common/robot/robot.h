@@ -129,6 +129,7 @@ struct JointDescription {
   SensorsDescription sensors;
   HomingDescription homing;
   BrakeDescription brake;
+  double park_rad = 0.0;           ///< where the joint rests, brake engaged, when the robot is off
   std::uint8_t node_id = 0;        ///< CANopen node id, 2-127
   std::uint8_t selection_bit = 0;  ///< bit in the 32-bit selection mask
 

@@ -43,12 +43,9 @@ class LogCapture : public console_bridge::OutputHandler {
   std::string first_;
 };
 
-/// One line without a full stop at its end, ready to stand inside a sentence.
+/// Without a full stop at its end, ready to stand inside a sentence.
 std::string as_clause(std::string text) {
-  for (char& c : text) {
-    if (c == '\n' || c == '\r' || c == '\t') c = ' ';
-  }
-  while (!text.empty() && (text.back() == '.' || text.back() == ' ')) text.pop_back();
+  while (!text.empty() && (text.back() == '.' || text.back() == '\n' || text.back() == ' ')) text.pop_back();
   return text;
 }
 
@@ -88,7 +85,7 @@ class Document {
   }
 
   [[noreturn]] void fail(int line, const std::string& problem) const {
-    throw DescriptionError((line > 0 ? file_ + ", line " + std::to_string(line) : file_) + ": " + problem + ".");
+    throw description_error(line > 0 ? file_ + ", line " + std::to_string(line) : file_, problem);
   }
   [[noreturn]] void fail(const TiXmlElement& at, const std::string& problem) const { fail(at.Row(), problem); }
   [[noreturn]] void fail_link(const std::string& link, const std::string& problem) const {

@@ -345,7 +345,7 @@ struct YamlReader::Section {
   }
 
   [[noreturn]] void error(int at_line, const std::string& sentence) const {
-    throw DescriptionError(place(file, at_line) + ": " + sentence + ".");
+    throw description_error(place(file, at_line), sentence);
   }
   /// "KEY is 'VALUE', but PROBLEM."
   [[noreturn]] void value_error(std::string_view key, const YAML::Node& node, const std::string& problem) const {
@@ -364,11 +364,7 @@ struct YamlReader::Section {
     if (node.IsNull()) return "empty";
     if (node.IsSequence()) return "a list";
     if (node.IsMap()) return "a section";
-    // One sentence stays one line, whatever the value holds.
     std::string text = node.Scalar();
-    for (char& c : text) {
-      if (static_cast<unsigned char>(c) < 0x20U) c = ' ';
-    }
     if (text.size() > 60) text = text.substr(0, 57) + "...";
     return "'" + text + "'";
   }
@@ -458,15 +454,15 @@ YamlReader YamlReader::from_file(const std::filesystem::path& file) {
   const std::string name = file.string();
   std::error_code ec;
   if (!std::filesystem::is_regular_file(file, ec)) {
-    throw DescriptionError(name + ": there is no such file; check the path.");
+    throw description_error(name, "there is no such file; check the path");
   }
   if (const auto size = std::filesystem::file_size(file, ec); ec || size > kMaxFileBytes) {
-    throw DescriptionError(name + ": the file is larger than 1 MiB or its size is unknown; check the path.");
+    throw description_error(name, "the file is larger than 1 MiB or its size is unknown; check the path");
   }
   std::ifstream stream(file, std::ios::binary);
   std::ostringstream content;
   content << stream.rdbuf();
-  if (!stream || !content) throw DescriptionError(name + ": the file cannot be read; check its permissions.");
+  if (!stream || !content) throw description_error(name, "the file cannot be read; check its permissions");
   return from_text(content.str(), name);
 }
 
@@ -474,18 +470,18 @@ YamlReader YamlReader::from_text(const std::string& content, const std::string& 
   try {
     const std::vector<YAML::Node> documents = YAML::LoadAll(content);
     if (documents.empty() || documents.front().IsNull()) {
-      throw DescriptionError(name + ": the file is empty; fill in its keys.");
+      throw description_error(name, "the file is empty; fill in its keys");
     }
     if (documents.size() > 1) {
-      throw DescriptionError(name + ": the file holds several YAML documents; keep one.");
+      throw description_error(name, "the file holds several YAML documents; keep one");
     }
     if (!documents.front().IsMap()) {
-      throw DescriptionError(name + ": the file must be a mapping of keys to values; write 'key: value' lines.");
+      throw description_error(name, "the file must be a mapping of keys to values; write 'key: value' lines");
     }
     return YamlReader(Section::make(name, "", documents.front(), 0));
   } catch (const YAML::Exception& e) {
     const int line = e.mark.is_null() ? 0 : e.mark.line + 1;
-    throw DescriptionError(Section::place(name, line) + ": this is not valid YAML (" + e.msg + "); correct the line.");
+    throw description_error(Section::place(name, line), "this is not valid YAML (" + e.msg + "); correct the line");
   }
 }
 
