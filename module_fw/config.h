@@ -14,7 +14,8 @@ struct SensingConfig {
   std::int32_t encoder_counts_per_turn = 16384;  ///< per motor turn
   bool encoder_absolute = true;                  ///< false: motion in mode 8, 10, -1 only after homing
   std::int32_t encoder_zero_count = 0;           ///< count at joint position 0 (absolute encoder)
-  float velocity_bandwidth_rad_s = 600.0F;       ///< of the tracking observer; its delay is 2 / bandwidth on a ramp
+  float velocity_bandwidth_rad_s =
+      2500.0F;  ///< of the tracking observer; below 1500 the compensator of a base joint rattles
   bool torque_sensor = true;
   float torque_full_scale_nm = 100.0F;         ///< at ADC 32767; sign: torque the transmission gives the link
   float current_full_scale_a = 40.0F;          ///< at ADC 32767 and at duty 32767
@@ -121,6 +122,7 @@ struct BrakeConfig {
 struct WatchdogConfig {
   std::uint8_t missing_knots = 2;                     ///< this many knot periods without a knot: controlled stop
   Duration supervisor_heartbeat = milliseconds(500);  ///< consumer heartbeat time (0x1016) at start
+  Duration sync = milliseconds(50);                   ///< in mode 8: without SYNC for longer is a fault
 };
 
 /// All of it. Copied from the robot description on a PC, or linked in as a table on a microcontroller.

@@ -3,19 +3,34 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <span>
 
 #include "can_protocol/frame.h"
+#include "can_protocol/node.h"
 #include "common/core/time.h"
+#include "module_fw/actions/brake_sequence.h"
+#include "module_fw/actions/drive_state_machine.h"
+#include "module_fw/actions/homing.h"
+#include "module_fw/comms/selection_switch.h"
 #include "module_fw/config.h"
+#include "module_fw/control/active_law.h"
+#include "module_fw/control/passive_law.h"
+#include "module_fw/control/reference.h"
+#include "module_fw/control/sync_pll.h"
+#include "module_fw/control/torque_selector.h"
+#include "module_fw/drive/drive.h"
 #include "module_fw/joint_io.h"
+#include "module_fw/sensing/sensing.h"
 #include "module_fw/status.h"
 
 namespace mrr::fw {
 
-class Module {
+class Module final : private can::NodeApplication {
  public:
   explicit Module(const ModuleConfig& config) noexcept;
+  Module(const Module&) = delete;
+  Module& operator=(const Module&) = delete;
 
   /// One control tick. Call it every `config.tick` of the module's own clock.
   /// @param now       own clock, increasing
@@ -28,10 +43,117 @@ class Module {
 
   /// For tests and telemetry only: nothing on the robot's bus depends on it.
   [[nodiscard]] const ModuleStatus& status() const noexcept { return status_; }
+  /// The objects as the bus sees them. For tests.
+  [[nodiscard]] const can::ObjectDictionary& objects() const noexcept { return od_; }
 
  private:
-  ModuleConfig config_;
+  // What the node tells.
+  can::Abort may_write(can::ObjectId id, const can::Value& value) noexcept override;
+  void written(can::ObjectId id, can::WriteSource source, Time at) noexcept override;
+  void pdo_delivered(std::uint8_t number, Time received) noexcept override;
+  void sync(Time at, std::optional<std::uint8_t> counter) noexcept override;
+  void selection(const can::SelectionCommand& command, Time at) noexcept override;
+  void nmt_changed(can::NmtState state, Time at) noexcept override;
+  void reset(can::ResetKind kind, Time at) noexcept override;
+  void heartbeat_lost(std::uint8_t node_id, Time at) noexcept override;
+  void heartbeat_seen(std::uint8_t node_id, can::NmtState state, Time at) noexcept override;
+
+  /// Configuration -> objects, once at start.
+  void fill_objects() noexcept;
+  /// Objects -> laws and limits: what was written over the bus comes into force when the joint is enabled.
+  void apply_parameters() noexcept;
+
+  // The stages of a tick, in their order.
+  void watch(Time now) noexcept;
+  void decide_state(Time now) noexcept;
+  void lead(Time now) noexcept;
+  void run_homing(Time now) noexcept;
+  void watch_motion(Time now) noexcept;
+  [[nodiscard]] float control_torque(Time now) noexcept;
+  void sequence_brake(Time now) noexcept;
+  void publish() noexcept;
+
+  void offer_knot(const Knot& knot, Duration period) noexcept;
+  void fail(can::Emergency cause, Time now) noexcept;
+  void enable() noexcept;
+  void stop_and_hold(float deceleration_rad_s2) noexcept;
+  void stop_at_limit(can::LimitCode why) noexcept;
+  void go_passive(Time now) noexcept;
+  void go_active() noexcept;
+  [[nodiscard]] PassiveLaw::Evidence evidence() const noexcept;
+  [[nodiscard]] Authority arbitrate() const noexcept;
+  [[nodiscard]] bool closing() const noexcept;
+  [[nodiscard]] bool may_change_law() const noexcept;
+  [[nodiscard]] bool passive() const noexcept { return selector_.law() == Law::passive; }
+  [[nodiscard]] bool torque_mode() const noexcept {
+    return mode_ == Mode::cyclic_torque && authority_ == Authority::motion;
+  }
+  [[nodiscard]] std::uint16_t statusword() const noexcept;
+  [[nodiscard]] can::LimitCode active_limit() const noexcept;
+
+  ModuleConfig config_;  ///< what is in force: as configured, then as written over the bus
+  float dt_s_;
   ModuleStatus status_;
+
+  can::ObjectDictionary od_;
+  can::Node node_;
+  SyncPll pll_;
+  SelectionSwitch selection_;
+
+  Sensing sensing_;
+  Reference reference_;
+  ActiveLaw active_;
+  PassiveLaw passive_;
+  TorqueSelector selector_;
+  Drive drive_;
+  DriveStateMachine machine_;
+  BrakeSequence brake_;
+  Homing homing_;
+
+  Authority authority_ = Authority::none;
+  Time started_at_;
+  bool started_ = false;
+  bool parameters_changed_ = false;
+  bool usable_at_start_ = true;
+  bool configuration_valid_ = true;
+
+  // Communication
+  bool knot_position_came_ = false;      ///< RPDO2 since the last SYNC
+  bool knot_acceleration_came_ = false;  ///< RPDO3 since the last SYNC
+  bool knots_have_sequence_ = false;     ///< RPDO3 came since the joint was enabled
+  std::uint16_t own_sequence_ = 0;       ///< for set points without one
+  float last_target_rad_ = 0.0F;
+  bool has_last_target_ = false;
+  std::optional<std::uint8_t> sync_counter_;
+  bool sync_seen_ = false;  ///< since the joint was enabled
+  Time last_sync_at_;
+  bool heartbeat_lost_ = false;
+
+  // Decision
+  bool limit_stop_ = false;
+  can::LimitCode hold_reason_ = can::LimitCode::none;
+  can::LimitCode passive_ended_by_ = can::LimitCode::none;
+  Mode mode_ = Mode::none;  ///< without the law: passive is a law within mode 8
+  std::int8_t last_requested_mode_ = 0;
+  bool homing_start_bit_ = false;
+
+  // Control
+  float load_torque_nm_ = 0.0F;
+  bool saturated_ = false;
+  float max_torque_nm_ = 0.0F;
+  Time passive_since_;
+  float passive_from_rad_ = 0.0F;
+  bool was_blending_ = false;
+  DriveLimit drive_limit_ = DriveLimit::none;
+
+  // Faults
+  can::Emergency condition_ = can::Emergency::none;  ///< in force in this tick
+  bool cut_ = false;                                 ///< no torque may be trusted
+  bool blind_ = false;                               ///< the position is not known
+  std::uint8_t over_speed_ticks_ = 0;
+  std::int32_t following_error_ticks_ = 0;
+  BrakeSequence::Trouble brake_trouble_ = BrakeSequence::Trouble::none;
+  bool torque_not_finite_ = false;
 };
 
 }  // namespace mrr::fw

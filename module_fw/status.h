@@ -1,9 +1,10 @@
 // Room: module_fw. What a module shows of itself to tests and telemetry, and the names of its states, modes and faults.
-// May touch common/core only. Freestanding.
+// May touch common/core and the codes of can_protocol. Freestanding.
 #pragma once
 
 #include <cstdint>
 
+#include "can_protocol/object_dictionary.h"
 #include "common/core/time.h"
 
 namespace mrr::fw {
@@ -29,46 +30,6 @@ enum class Mode : std::int8_t {
   cyclic_torque = 10,
 };
 
-/// Why the module is in FAULT. The first cause is latched with its time. Also the low byte of `error_or_limit` on the
-/// wire.
-enum class FaultCause : std::uint8_t {
-  none = 0,
-  not_finite = 1,  ///< a NaN or infinity in a reading, a set point or the control law
-  encoder = 2,     ///< encoder lost or implausible
-  torque_sensor = 3,
-  current_sensor = 4,
-  winding_temperature = 5,
-  drive_temperature = 6,
-  bus_voltage = 7,
-  power_stage = 8,
-  brake = 9,                  ///< brake feedback contradicts the command
-  torque_not_confirmed = 10,  ///< enabling: measured current did not follow
-  following_error = 11,
-  over_speed = 12,
-  heartbeat_lost = 13,  ///< the supervisor's
-  sync_lost = 14,
-  configuration = 15,  ///< configuration not usable
-};
-
-/// What holds the joint back though there is no fault: the high byte of `error_or_limit` on the wire.
-enum class ActiveLimit : std::uint8_t {
-  none = 0,
-  knots_missing = 1,   ///< stopped and holding: set points stopped coming
-  knots_rejected = 2,  ///< stopped and holding: set points jumped or left the limits
-  position_limit = 3,
-  limit_switch = 4,
-  current_peak = 5,     ///< torque is clipped
-  current_thermal = 6,  ///< torque is clipped by the thermal model
-  torque_limit = 7,
-  passive_time = 8,    ///< came back from passive by itself: time
-  passive_travel = 9,  ///< came back from passive by itself: travel or position limit
-  not_homed = 10,
-  halt = 11,
-  waiting_for_knots = 12,  ///< holding until a knot near the held position arrives
-  brake_dwell = 13,
-  // Order is not priority.
-};
-
 /// What leads the joint in this tick; the arbiter picks the first that claims, in this order.
 enum class Authority : std::uint8_t { fault_reaction, limit, user_stop, calibration, homing, motion, none };
 
@@ -82,8 +43,8 @@ struct ModuleStatus {
   Mode mode = Mode::none;  ///< in force, as 0x6061
   Authority authority = Authority::none;
   Law law = Law::off;
-  ActiveLimit limit = ActiveLimit::none;
-  bool operational = false;  ///< NMT OPERATIONAL
+  can::LimitCode limit = can::LimitCode::none;  ///< what holds the joint back, if anything
+  bool operational = false;                     ///< NMT OPERATIONAL
   bool homed = false;
   bool following_knots = false;  ///< statusword bit 12 in mode 8
   bool brake_released = false;   ///< commanded, dwell included: motion is allowed
@@ -114,7 +75,7 @@ struct ModuleStatus {
   Time selection_executed_at;  ///< tick in which the last selection came into force
   Time blend_ended_at;         ///< tick in which the commanded torque first was the passive torque
 
-  FaultCause fault = FaultCause::none;  ///< first cause
+  can::Emergency fault = can::Emergency::none;  ///< first cause
   Time fault_at;
   std::uint32_t knots_accepted = 0;
   std::uint32_t knots_missing = 0;

@@ -1,0 +1,50 @@
+// Room: module_fw/actions. Homing on a switch: fast search, back off, slow approach; the edge is the reference.
+// May touch module_fw/config.h. Freestanding.
+#pragma once
+
+#include <cstdint>
+
+#include "common/core/time.h"
+#include "module_fw/config.h"
+
+namespace mrr::fw {
+
+/// The switch is closed from its edge on in the direction of the search.
+class Homing {
+ public:
+  enum class Phase : std::uint8_t { idle, search, pass_over, clear, approach, done, failed };
+
+  void configure(const HomingConfig& config) noexcept { config_ = config; }
+
+  struct Inputs {
+    bool home_switch = false;
+    bool negative_limit = false;
+    bool positive_limit = false;
+  };
+
+  void start(Time now, bool on_switch) noexcept;
+  void abort() noexcept {
+    if (running()) phase_ = Phase::idle;
+  }
+  /// Homing where the joint stands (methods 35, 37).
+  void finish() noexcept { phase_ = Phase::done; }
+  /// One tick while running. @returns true in the tick in which the edge was met: the joint is at the switch position
+  /// now.
+  bool update(Time now, const Inputs& in) noexcept;
+
+  [[nodiscard]] Phase phase() const noexcept { return phase_; }
+  [[nodiscard]] bool running() const noexcept {
+    return phase_ == Phase::search || phase_ == Phase::pass_over || phase_ == Phase::clear || phase_ == Phase::approach;
+  }
+  /// Velocity to move with, 0 when not running.
+  [[nodiscard]] float velocity_rad_s() const noexcept;
+  [[nodiscard]] const HomingConfig& config() const noexcept { return config_; }
+
+ private:
+  HomingConfig config_;
+  Phase phase_ = Phase::idle;
+  Time started_;
+  bool seen_switch_ = false;
+};
+
+}  // namespace mrr::fw

@@ -1,0 +1,94 @@
+// Room: module_fw/control. What the active law follows: knots from the bus, or by itself a stop, a hold, a slow search.
+// May touch module_fw/config.h, common/core. Freestanding.
+#pragma once
+
+#include <cstdint>
+
+#include "common/core/time.h"
+#include "module_fw/config.h"
+#include "module_fw/control/active_law.h"
+
+namespace mrr::fw {
+
+/// One set-point knot: the joint shall be there, so fast, so accelerated, at the SYNC after the one it came with.
+struct Knot {
+  MotionState state;
+  std::uint16_t sequence = 0;
+};
+
+/// What became of a knot.
+enum class KnotVerdict : std::uint8_t {
+  accepted,
+  resynchronised,  ///< accepted, and it ended a hold
+  ignored_far,     ///< holding: not within the window around the held reference
+  ignored_moving,  ///< not at rest yet after a stop
+  stale,           ///< its sequence did not advance
+  out_of_limits,   ///< position, velocity or acceleration beyond the joint's limits
+  jump,            ///< no joint within its limits gets there in one period
+};
+
+/// The reference trajectory of one joint. Between knots: quintic Hermite in (q, q', q''), so a quintic trajectory is
+/// reproduced exactly.
+class Reference {
+ public:
+  Reference(const ReferenceConfig& config, const LimitsConfig& limits, float dt_s) noexcept;
+
+  /// q_d := q, q_d' := q'; from there the reference comes to rest at a bounded rate and holds.
+  void start_at(float position_rad, float velocity_rad_s, float deceleration_rad_s2) noexcept;
+  /// Knots lead no longer: comes to rest at a bounded rate and holds.
+  void stop(float deceleration_rad_s2) noexcept;
+  /// Moves at a constant velocity, reached with a bounded acceleration (homing).
+  void move_at(float velocity_rad_s, float acceleration_rad_s2) noexcept;
+  /// The position scale changed (homing): the reference is the same place under another number.
+  void shift(float by_rad) noexcept;
+
+  /// A knot arrived with the SYNC at `sync`; the next SYNC is due `period` later.
+  KnotVerdict offer(const Knot& knot, Time sync, Duration period) noexcept;
+
+  /// One tick: where the joint shall be now. Continues the last knot at its acceleration once its period is over.
+  const MotionState& step(Time now) noexcept;
+
+  [[nodiscard]] const MotionState& state() const noexcept { return state_; }
+  /// Knots lead, as opposed to a hold.
+  [[nodiscard]] bool following() const noexcept { return lead_ == Lead::knots; }
+  /// Holding at rest.
+  [[nodiscard]] bool at_rest() const noexcept { return lead_ == Lead::stop && state_.velocity_rad_s == 0.0F; }
+  /// Time since the SYNC that brought the last accepted knot; meaningful while following().
+  [[nodiscard]] Duration since_knot(Time now) const noexcept { return now - segment_start_; }
+  [[nodiscard]] bool continuing() const noexcept { return continuing_; }
+
+ private:
+  enum class Lead : std::uint8_t { stop, velocity, knots };
+
+  [[nodiscard]] bool within_limits(const MotionState& s) const noexcept;
+  /// Trajectory of the segment at x seconds after its start, without the fading offset.
+  [[nodiscard]] MotionState segment_at(float x_s) const noexcept;
+  void begin_segment(const MotionState& from, const MotionState& to, Time start, float period_s) noexcept;
+  void fade_offset() noexcept;
+
+  ReferenceConfig config_;
+  LimitsConfig limits_;
+  float dt_s_;
+  float offset_factor_;  ///< exp(-omega dt)
+
+  Lead lead_ = Lead::stop;
+  MotionState state_;
+  float deceleration_rad_s2_ = 0.0F;
+  float wanted_velocity_rad_s_ = 0.0F;
+
+  // Segment: p(s) = from + c1 s + ... + c5 s^5, s = x / T.
+  MotionState from_;
+  MotionState to_;
+  Time segment_start_;
+  float period_s_ = 1.0F;
+  float inverse_period_ = 1.0F;
+  float c1_ = 0.0F, c2_ = 0.0F, c3_ = 0.0F, c4_ = 0.0F, c5_ = 0.0F;
+  std::uint16_t sequence_ = 0;
+  bool continuing_ = false;
+
+  // Difference between the held reference and the knots at resynchronisation, fading (critically damped).
+  float offset_rad_ = 0.0F;
+  float offset_velocity_rad_s_ = 0.0F;
+};
+
+}  // namespace mrr::fw

@@ -1,0 +1,937 @@
+#include "module_fw/module.h"
+
+#include "can_protocol/units.h"
+
+namespace mrr::fw {
+
+namespace {
+
+using can::Emergency;
+using can::LimitCode;
+
+constexpr Duration kSensorStart = milliseconds(1000);  // by then every sensor must have spoken
+constexpr std::uint8_t kOverSpeedTicks = 5;
+constexpr float kOverSpeedShare = 1.5F;         // of the joint's limit
+constexpr float kPositionSlack = 0.01F;         // rad beyond a soft limit before the joint is stopped for it
+constexpr float kConfirmShare = 0.05F;          // of full-scale current: agreement that confirms torque
+constexpr float kMaxCompensationShare = 0.95F;  // of the Coulomb friction: the passive law must not drive
+constexpr std::uint32_t kNotWatched = 0xFFFF'FFFFU;
+
+// Every fault a module can raise itself, to be cleared together.
+constexpr std::array kOwnFaults{
+    Emergency::internal,
+    Emergency::encoder,
+    Emergency::torque_sensor,
+    Emergency::current_sensor,
+    Emergency::temperature_sensor,
+    Emergency::winding_over_temperature,
+    Emergency::drive_over_temperature,
+    Emergency::over_voltage,
+    Emergency::under_voltage,
+    Emergency::power_stage,
+    Emergency::brake_not_released,
+    Emergency::motor_blocked,
+    Emergency::following_error,
+    Emergency::over_speed,
+    Emergency::heartbeat_lost,
+    Emergency::sync_lost,
+    Emergency::configuration,
+};
+
+bool positive(float x) noexcept { return x > 0.0F && is_finite(x); }
+bool not_negative(float x) noexcept { return x >= 0.0F && is_finite(x); }
+
+// What the laws divide by or rely on. The host's loader checks far more; this is the last line.
+bool usable(const ModuleConfig& c) noexcept {
+  bool ok = c.node_id >= 1 && c.node_id <= 127 && c.selection_bit < 32 && c.tick.ns > 0 && c.knot_period >= c.tick;
+  ok = ok && c.sensing.encoder_counts_per_turn > 0 && positive(c.drive.gear_ratio) &&
+       positive(c.sensing.velocity_bandwidth_rad_s) && positive(c.sensing.current_full_scale_a) &&
+       (!c.sensing.torque_sensor || positive(c.sensing.torque_full_scale_nm)) &&
+       positive(c.sensing.max_plausible_velocity_rad_s);
+  ok = ok && positive(c.drive.torque_constant_positive_nm_a) && positive(c.drive.torque_constant_negative_nm_a) &&
+       positive(c.drive.continuous_current_a) && c.drive.peak_current_a >= c.drive.continuous_current_a &&
+       is_finite(c.drive.peak_current_a) && positive(c.drive.thermal_time_constant_s) &&
+       positive(c.drive.temperature_derating_c) && positive(c.drive.rated_torque_nm) &&
+       is_finite(c.drive.max_winding_temperature_c) && is_finite(c.drive.max_drive_temperature_c);
+  const FrictionConfig& f = c.friction;
+  ok = ok && not_negative(f.coulomb_nm) && f.static_nm >= f.coulomb_nm && is_finite(f.static_nm) &&
+       not_negative(f.stribeck_decay_s2_rad2) && not_negative(f.viscous_nm_s_rad);
+  const ControlConfig& k = c.control;
+  ok = ok && positive(k.inertia_kg_m2) && not_negative(k.lambda_1_s) && not_negative(k.position_gain_nm_rad) &&
+       not_negative(k.velocity_gain_nm_s_rad) && not_negative(k.friction_feedforward) &&
+       positive(k.still_velocity_rad_s) && not_negative(k.compensator.position_gain_nm) &&
+       is_finite(k.compensator.position_width_rad_s);
+  for (std::size_t i = 0; i < 4; ++i) {
+    ok = ok && not_negative(k.compensator.integral_gain[i]) && not_negative(k.compensator.integral_limit[i]) &&
+         not_negative(k.compensator.robust_gain[i]) && not_negative(k.compensator.robust_width[i]);
+  }
+  const PassiveConfig& p = c.passive;
+  ok = ok && not_negative(p.compensation_nm) && p.compensation_nm <= kMaxCompensationShare * f.coulomb_nm &&
+       positive(p.moving_velocity_rad_s) && not_negative(p.torque_dead_band_nm) &&
+       p.torque_full_trend_nm > p.torque_dead_band_nm && is_finite(p.torque_full_trend_nm) &&
+       positive(p.trend_rate_1_s) && positive(p.resume_torque_slew_nm_s) && positive(p.max_travel_rad) &&
+       p.blend.ns >= 0 && p.max_time.ns >= 0;
+  const LimitsConfig& l = c.limits;
+  ok = ok && l.lower_rad < l.upper_rad && positive(l.velocity_rad_s) && positive(l.acceleration_rad_s2) &&
+       positive(l.torque_nm) && is_finite(l.lower_rad) && is_finite(l.upper_rad);
+  const ReferenceConfig& r = c.reference;
+  return ok && positive(r.stop_deceleration_rad_s2) && positive(r.quick_stop_deceleration_rad_s2) &&
+         positive(r.settle_rate_1_s) && not_negative(r.resync_window_rad) && not_negative(r.resync_velocity_rad_s) &&
+         positive(r.offset_decay_1_s);
+}
+
+// A configuration that is not usable is never used for arithmetic: the module runs on harmless numbers, in FAULT.
+ModuleConfig usable_or_harmless(const ModuleConfig& c) noexcept {
+  if (usable(c)) return c;
+  ModuleConfig harmless;
+  harmless.node_id = c.node_id >= 1 && c.node_id <= 127 ? c.node_id : std::uint8_t{127};
+  harmless.bit_rate = c.bit_rate;
+  harmless.control.inertia_kg_m2 = 1.0F;
+  harmless.drive.peak_current_a = harmless.drive.continuous_current_a = 1.0F;
+  harmless.limits.torque_nm = 1.0F;
+  return harmless;
+}
+
+TorqueSelector make_selector(const PassiveConfig& p, Duration tick) noexcept {
+  return TorqueSelector(static_cast<std::int32_t>(p.blend / tick), p.resume_torque_slew_nm_s * tick.seconds_f());
+}
+
+std::uint32_t micro(float x) noexcept { return static_cast<std::uint32_t>(x * 1e6F + 0.5F); }
+std::int32_t micro_rad(float x) noexcept { return can::urad_from_rad(x).value_or(0); }
+
+std::uint32_t to_ms(Duration d) noexcept { return static_cast<std::uint32_t>(d / milliseconds(1)); }
+
+}  // namespace
+
+Module::Module(const ModuleConfig& config) noexcept
+    : config_(usable_or_harmless(config)),
+      dt_s_(config_.tick.seconds_f()),
+      node_((fill_objects(), od_), can::NodeConfig{.node_id = config_.node_id, .bit_rate = config_.bit_rate}, *this),
+      pll_(config_.knot_period),
+      selection_(config_.selection_bit),
+      sensing_(config_.sensing, config_.drive, dt_s_),
+      reference_(config_.reference, config_.limits, dt_s_),
+      active_(config_.control, config_.friction, dt_s_),
+      passive_(config_.passive, dt_s_),
+      selector_(make_selector(config_.passive, config_.tick)),
+      drive_(config_.drive, config_.sensing, config_.limits, dt_s_),
+      brake_(config_.brake),
+      usable_at_start_(usable(config)),
+      configuration_valid_(usable_at_start_) {
+  status_.homed = config_.sensing.encoder_absolute;
+  homing_.configure(config_.homing);
+}
+
+// ---------------------------------------------------------------------------------------------- configuration
+
+void Module::fill_objects() noexcept {
+  const ModuleConfig& c = config_;
+  od_.protocol_hash = can::kProtocolHash;
+  od_.configuration_hash = c.configuration_hash;
+  od_.identity_serial_number = c.serial_number;
+  od_.loop_rate_hz = static_cast<std::uint16_t>(seconds(1.0) / c.tick);
+  od_.knot_period_us = static_cast<std::uint32_t>(c.knot_period / microseconds(1));
+  od_.selection_bit = c.selection_bit;
+  od_.consumer_heartbeat[0] =
+      static_cast<std::uint32_t>(c.supervisor_node_id) << 16U | (to_ms(c.watchdog.supervisor_heartbeat) & 0xFFFFU);
+
+  od_.control_lambda_1_s = c.control.lambda_1_s;
+  od_.control_position_gain_nm_rad = c.control.position_gain_nm_rad;
+  od_.control_velocity_gain_nm_s_rad = c.control.velocity_gain_nm_s_rad;
+  od_.control_friction_feedforward = c.control.friction_feedforward;
+  od_.control_compensator_enabled = c.control.compensator.enabled ? 1 : 0;
+  od_.control_resume_torque_slew_nm_s = c.passive.resume_torque_slew_nm_s;
+  od_.friction_coulomb_nm = c.friction.coulomb_nm;
+  od_.friction_static_nm = c.friction.static_nm;
+  od_.friction_stribeck_decay_s2_rad2 = c.friction.stribeck_decay_s2_rad2;
+  od_.friction_viscous_nm_s_rad = c.friction.viscous_nm_s_rad;
+  od_.compensator_integral_gain = c.control.compensator.integral_gain;
+  od_.compensator_integral_limit = c.control.compensator.integral_limit;
+  od_.compensator_robust_gain = c.control.compensator.robust_gain;
+  od_.compensator_robust_width = c.control.compensator.robust_width;
+  od_.compensator_position_gain_nm = c.control.compensator.position_gain_nm;
+  od_.compensator_position_width_rad_s = c.control.compensator.position_width_rad_s;
+  od_.passive_compensation = c.friction.static_nm > 0.0F ? c.passive.compensation_nm / c.friction.static_nm : 0.0F;
+  od_.passive_blend_s = c.passive.blend.seconds_f();
+  od_.passive_max_s = c.passive.max_time.seconds_f();
+  od_.passive_max_travel_rad = c.passive.max_travel_rad;
+  od_.limit_velocity_rad_s = c.limits.velocity_rad_s;
+  od_.limit_torque_nm = c.limits.torque_nm;
+  od_.limit_current_a = c.drive.peak_current_a;
+  od_.limit_winding_temperature_degc = c.drive.max_winding_temperature_c;
+  od_.watchdog_knot_periods = c.watchdog.missing_knots;
+  od_.watchdog_sync_ms = static_cast<std::uint16_t>(to_ms(c.watchdog.sync));
+  od_.homing_switch_position_urad = micro_rad(c.homing.switch_position_rad);
+  od_.homing_timeout_ms = to_ms(c.homing.timeout);
+  od_.homing_speed_switch_urad_s = micro(c.homing.fast_rad_s);
+  od_.homing_speed_zero_urad_s = micro(c.homing.slow_rad_s);
+  od_.brake_release_ms = static_cast<std::uint16_t>(to_ms(c.brake.release));
+  od_.brake_engage_ms = static_cast<std::uint16_t>(to_ms(c.brake.engage));
+  od_.drive_gear_ratio = c.drive.gear_ratio;
+  od_.drive_reflected_inertia_kg_m2 = c.control.inertia_kg_m2;
+  od_.following_error_window_urad =
+      c.limits.following_error_rad > 0.0F ? micro(c.limits.following_error_rad) : kNotWatched;
+  od_.following_error_timeout_ms = static_cast<std::uint16_t>(to_ms(c.limits.following_error_time));
+  od_.position_limit_min_urad = micro_rad(c.limits.lower_rad);
+  od_.position_limit_max_urad = micro_rad(c.limits.upper_rad);
+  od_.quick_stop_deceleration_mrad_s2 = static_cast<std::uint32_t>(c.reference.quick_stop_deceleration_rad_s2 * 1e3F);
+  od_.motor_rated_current_ma = static_cast<std::uint32_t>(c.drive.continuous_current_a * 1e3F + 0.5F);
+  od_.motor_rated_torque_mnm = static_cast<std::uint32_t>(c.drive.rated_torque_nm * 1e3F + 0.5F);
+}
+
+void Module::apply_parameters() noexcept {
+  parameters_changed_ = false;
+  ModuleConfig c = config_;
+  c.control.lambda_1_s = od_.control_lambda_1_s;
+  c.control.position_gain_nm_rad = od_.control_position_gain_nm_rad;
+  c.control.velocity_gain_nm_s_rad = od_.control_velocity_gain_nm_s_rad;
+  c.control.friction_feedforward = od_.control_friction_feedforward;
+  c.control.compensator.enabled = od_.control_compensator_enabled != 0;
+  c.passive.resume_torque_slew_nm_s = od_.control_resume_torque_slew_nm_s;
+  c.friction = {od_.friction_coulomb_nm, od_.friction_static_nm, od_.friction_stribeck_decay_s2_rad2,
+                od_.friction_viscous_nm_s_rad};
+  c.control.compensator.integral_gain = od_.compensator_integral_gain;
+  c.control.compensator.integral_limit = od_.compensator_integral_limit;
+  c.control.compensator.robust_gain = od_.compensator_robust_gain;
+  c.control.compensator.robust_width = od_.compensator_robust_width;
+  c.control.compensator.position_gain_nm = od_.compensator_position_gain_nm;
+  c.control.compensator.position_width_rad_s = od_.compensator_position_width_rad_s;
+  const float wanted_nm = od_.passive_compensation * c.friction.static_nm;
+  c.passive.compensation_nm = limit(wanted_nm, 0.0F, kMaxCompensationShare * c.friction.coulomb_nm);
+  c.passive.blend = {static_cast<std::int64_t>(micro(od_.passive_blend_s)) * 1000};
+  c.passive.max_time = {static_cast<std::int64_t>(micro(od_.passive_max_s)) * 1000};
+  c.passive.max_travel_rad = od_.passive_max_travel_rad;
+  c.limits.velocity_rad_s = od_.limit_velocity_rad_s;
+  if (od_.max_motor_speed_urad_s != kNotWatched) {
+    const float speed = static_cast<float>(od_.max_motor_speed_urad_s) * 1e-6F;
+    if (speed < c.limits.velocity_rad_s) c.limits.velocity_rad_s = speed;
+  }
+  c.limits.torque_nm = od_.limit_torque_nm;
+  c.limits.lower_rad = static_cast<float>(od_.position_limit_min_urad) * 1e-6F;
+  c.limits.upper_rad = static_cast<float>(od_.position_limit_max_urad) * 1e-6F;
+  c.drive.peak_current_a = od_.limit_current_a;
+  c.drive.max_winding_temperature_c = od_.limit_winding_temperature_degc;
+  c.watchdog.missing_knots = od_.watchdog_knot_periods;
+  c.reference.quick_stop_deceleration_rad_s2 = static_cast<float>(od_.quick_stop_deceleration_mrad_s2) * 1e-3F;
+  c.homing.switch_position_rad = static_cast<float>(od_.homing_switch_position_urad) * 1e-6F;
+  c.homing.fast_rad_s = static_cast<float>(od_.homing_speed_switch_urad_s) * 1e-6F;
+  c.homing.slow_rad_s = static_cast<float>(od_.homing_speed_zero_urad_s) * 1e-6F;
+  c.homing.timeout = milliseconds(od_.homing_timeout_ms);
+  c.selection_bit = od_.selection_bit;
+  const Duration knot_period = microseconds(od_.knot_period_us);
+  const bool new_period = knot_period != c.knot_period;
+  c.knot_period = knot_period;
+  configuration_valid_ = usable_at_start_ && usable(c);
+  if (!configuration_valid_) return;
+  config_ = c;
+  reference_ = Reference(c.reference, c.limits, dt_s_);
+  active_ = ActiveLaw(c.control, c.friction, dt_s_);
+  passive_ = PassiveLaw(c.passive, dt_s_);
+  selector_ = make_selector(c.passive, c.tick);
+  drive_.configure(c.drive, c.limits);
+  selection_ = SelectionSwitch(c.selection_bit);
+  homing_.configure(c.homing);
+  if (new_period) pll_ = SyncPll(knot_period);
+}
+
+// ---------------------------------------------------------------------------------------------- communication
+
+can::Abort Module::may_write(can::ObjectId id, const can::Value&) noexcept {
+  // The loop is locked to this period while the joint is led.
+  if (id == can::ObjectId::knot_period_us && machine_.state() == DriveState::operation_enabled)
+    return can::Abort::state;
+  return can::Abort::none;
+}
+
+void Module::written(can::ObjectId, can::WriteSource source, Time) noexcept {
+  if (source == can::WriteSource::sdo) parameters_changed_ = true;
+}
+
+void Module::pdo_delivered(std::uint8_t number, Time) noexcept {
+  if (number == 2) knot_position_came_ = true;
+  if (number == 3) knot_acceleration_came_ = knots_have_sequence_ = true;
+}
+
+void Module::sync(Time at, std::optional<std::uint8_t> counter) noexcept {
+  const SyncPll::Arrival arrival = pll_.on_sync(at);
+  sync_seen_ = true;
+  last_sync_at_ = at;
+  sync_counter_ = counter;
+  if (counter) {
+    status_.sync_counter = *counter;
+    selection_.on_sync(*counter, od_.sync_counter_overflow, pll_);
+  }
+  // A knot is both halves, or, from a client that knows no acceleration, the position alone.
+  const bool complete = knot_position_came_ && (knot_acceleration_came_ || !knots_have_sequence_);
+  knot_position_came_ = knot_acceleration_came_ = false;
+  if (arrival.periods == 0) return;
+  const Duration period = pll_.period();
+  if (!complete) {
+    if (reference_.following()) {
+      ++od_.count_missed_knots;
+      ++status_.knots_missing;
+    }
+    has_last_target_ = false;
+    return;
+  }
+  Knot knot;
+  knot.state.position_rad = static_cast<float>(od_.target_position_urad) * 1e-6F;
+  if (knots_have_sequence_) {
+    knot.state.velocity_rad_s = static_cast<float>(od_.velocity_offset_urad_s) * 1e-6F;
+    knot.state.acceleration_rad_s2 = static_cast<float>(od_.target_acceleration_mrad_s2) * 1e-3F;
+    knot.sequence = od_.knot_sequence;
+  } else {
+    // Positions alone: the velocity is their difference.
+    if (has_last_target_) {
+      knot.state.velocity_rad_s = (knot.state.position_rad - last_target_rad_) / short_seconds(period.ns);
+    }
+    last_target_rad_ = knot.state.position_rad;
+    has_last_target_ = true;
+    knot.sequence = ++own_sequence_;
+  }
+  offer_knot(knot, period);
+}
+
+void Module::offer_knot(const Knot& knot, Duration period) noexcept {
+  if (!(authority_ == Authority::motion && mode_ == Mode::cyclic_position && selector_.law() == Law::active &&
+        brake_.motion_allowed() && status_.homed && pll_.locked())) {
+    return;
+  }
+  switch (reference_.offer(knot, pll_.sync_time(), period)) {
+    case KnotVerdict::resynchronised:
+      passive_ended_by_ = LimitCode::none;
+      node_.clear(Emergency::knots_lost, status_.now);
+      [[fallthrough]];
+    case KnotVerdict::accepted:
+      hold_reason_ = LimitCode::none;
+      limit_stop_ = false;
+      ++status_.knots_accepted;
+      break;
+    case KnotVerdict::stale:
+      ++od_.count_stale_knots;
+      break;
+    case KnotVerdict::out_of_limits:
+    case KnotVerdict::jump:
+      ++status_.knots_rejected;
+      hold_reason_ = LimitCode::knot_rejected;
+      break;
+    case KnotVerdict::ignored_far:
+    case KnotVerdict::ignored_moving:
+      break;
+  }
+}
+
+void Module::selection(const can::SelectionCommand& command, Time at) noexcept {
+  SelectionSwitch::Context context;
+  context.now = at;
+  context.allowed = may_change_law();
+  context.counter_overflow = od_.sync_counter_overflow;
+  context.counter = sync_counter_;
+  selection_.command(command, context, pll_);
+  od_.selection_acknowledged = selection_.acknowledgement();
+}
+
+void Module::nmt_changed(can::NmtState state, Time) noexcept {
+  status_.operational = state == can::NmtState::operational;
+}
+
+void Module::reset(can::ResetKind kind, Time) noexcept {
+  machine_.restart();
+  selection_.reset();
+  parameters_changed_ = true;
+  if (kind == can::ResetKind::node) heartbeat_lost_ = false;
+}
+
+void Module::heartbeat_lost(std::uint8_t node_id, Time) noexcept {
+  if (node_id == config_.supervisor_node_id) heartbeat_lost_ = true;
+}
+
+void Module::heartbeat_seen(std::uint8_t node_id, can::NmtState, Time) noexcept {
+  if (node_id == config_.supervisor_node_id) heartbeat_lost_ = false;
+}
+
+// ---------------------------------------------------------------------------------------------- decision
+
+bool Module::may_change_law() const noexcept {
+  return machine_.state() == DriveState::operation_enabled && mode_ == Mode::cyclic_position &&
+         authority_ == Authority::motion && brake_.motion_allowed() && status_.homed;
+}
+
+void Module::fail(Emergency cause, Time now) noexcept {
+  if (status_.fault == Emergency::none) {
+    status_.fault = cause;
+    status_.fault_at = now;
+    od_.first_fault_cause = static_cast<std::uint16_t>(cause);
+    od_.first_fault_time_ms = static_cast<std::uint32_t>(now.ns / 1'000'000);
+    od_.first_fault_position_urad = od_.position_actual_urad;
+    od_.first_fault_velocity_urad_s = od_.velocity_actual_urad_s;
+    od_.first_fault_torque_permille = od_.torque_actual_permille;
+    od_.first_fault_statusword = od_.statusword;
+    od_.first_fault_detail = od_.active_limit;
+  }
+  od_.error_code = static_cast<std::uint16_t>(cause);
+  if (!node_.is_present(cause)) {
+    const auto limit_code = static_cast<std::uint16_t>(od_.active_limit);
+    node_.raise(
+        cause,
+        {static_cast<std::uint8_t>(status_.state), static_cast<std::uint8_t>(od_.modes_of_operation_display),
+         static_cast<std::uint8_t>(limit_code), static_cast<std::uint8_t>(status_.law), od_.selection_acknowledged},
+        now);
+  }
+}
+
+// Conditions that forbid motion, worst first. condition_ is what is wrong in this tick.
+void Module::watch(Time now) noexcept {
+  condition_ = Emergency::none;
+  cut_ = false;
+  blind_ = false;
+  const auto found = [&](Emergency cause) {
+    if (condition_ == Emergency::none) condition_ = cause;
+    fail(cause, now);
+  };
+  if (!configuration_valid_) found(Emergency::configuration);
+  if (torque_not_finite_) {
+    cut_ = true;
+    found(Emergency::internal);
+  }
+  if (sensing_.input(kInputPowerStageFault)) {
+    cut_ = true;
+    found(Emergency::power_stage);
+  }
+  if (!sensing_.complete() && now - started_at_ <= kSensorStart) return;  // still starting
+
+  const ModuleConfig& c = config_;
+  if (!sensing_.position_valid()) {
+    blind_ = true;
+    found(Emergency::encoder);
+  }
+  if (c.sensing.torque_sensor && !sensing_.joint_torque_nm().valid) found(Emergency::torque_sensor);
+  if (!sensing_.current_a().valid) found(Emergency::current_sensor);
+  const Reading& winding = sensing_.winding_c();
+  const Reading& stage = sensing_.drive_c();
+  const Reading& voltage = sensing_.bus_voltage_v();
+  if (!winding.valid || !stage.valid) {
+    found(Emergency::temperature_sensor);
+  } else {
+    if (!(winding.value < c.drive.max_winding_temperature_c)) found(Emergency::winding_over_temperature);
+    if (!(stage.value < c.drive.max_drive_temperature_c)) found(Emergency::drive_over_temperature);
+  }
+  if (!voltage.valid || !(voltage.value >= c.drive.min_bus_voltage_v)) found(Emergency::under_voltage);
+  if (voltage.valid && !(voltage.value <= c.drive.max_bus_voltage_v)) found(Emergency::over_voltage);
+
+  switch (brake_trouble_) {
+    case BrakeSequence::Trouble::none:
+      break;
+    case BrakeSequence::Trouble::torque_not_confirmed:
+      found(Emergency::motor_blocked);
+      break;
+    case BrakeSequence::Trouble::not_released:
+      found(Emergency::brake_not_released);
+      break;
+  }
+  if (brake_.phase() == BrakeSequence::Phase::off) {
+    over_speed_ticks_ = 0;
+    following_error_ticks_ = 0;
+    return;
+  }
+  const bool fast = !(absolute(sensing_.velocity_rad_s()) <= kOverSpeedShare * c.limits.velocity_rad_s);
+  over_speed_ticks_ = fast ? static_cast<std::uint8_t>(over_speed_ticks_ + 1U) : std::uint8_t{0};
+  if (over_speed_ticks_ >= kOverSpeedTicks) {
+    over_speed_ticks_ = kOverSpeedTicks;
+    found(Emergency::over_speed);
+  }
+  const bool enabled = machine_.state() == DriveState::operation_enabled;
+  if (enabled && selector_.law() == Law::active && brake_.motion_allowed() && !torque_mode() &&
+      !selector_.catching_up()) {
+    const float error = sensing_.position_rad() - reference_.state().position_rad;
+    const bool off = od_.following_error_window_urad != kNotWatched &&
+                     !(absolute(error) <= static_cast<float>(od_.following_error_window_urad) * 1e-6F);
+    following_error_ticks_ = off ? following_error_ticks_ + 1 : 0;
+    if (static_cast<float>(following_error_ticks_) * dt_s_ >
+        static_cast<float>(od_.following_error_timeout_ms) * 1e-3F) {
+      found(Emergency::following_error);
+    }
+  } else {
+    following_error_ticks_ = 0;
+  }
+  // A switch that is armed, or a passive phase that runs, is carried through even without a supervisor: both are
+  // bounded.
+  const bool blow = selection_.armed() || passive();
+  if (enabled && !blow) {
+    if (heartbeat_lost_) found(Emergency::heartbeat_lost);
+    if (sync_seen_ && od_.watchdog_sync_ms != 0 && mode_ == Mode::cyclic_position &&
+        now - last_sync_at_ > milliseconds(od_.watchdog_sync_ms) && now - last_sync_at_ > pll_.period() * 4) {
+      found(Emergency::sync_lost);
+    }
+  }
+}
+
+bool Module::closing() const noexcept {
+  const DriveState s = machine_.state();
+  return brake_.phase() != BrakeSequence::Phase::off && s != DriveState::operation_enabled &&
+         s != DriveState::quick_stop_active;
+}
+
+void Module::decide_state(Time now) noexcept {
+  DriveStateMachine::Inputs in;
+  in.controlword = od_.controlword;
+  // Motion needs NMT OPERATIONAL; without it an enabled joint is disabled in order.
+  if (!status_.operational) in.controlword = static_cast<std::uint16_t>(in.controlword & ~0x08U);
+  in.ready = sensing_.complete();
+  in.fault = condition_ != Emergency::none;
+  const DriveState before = machine_.state();
+  in.stopped =
+      before == DriveState::fault_reaction_active ? brake_.phase() == BrakeSequence::Phase::off : reference_.at_rest();
+  in.quick_stop_option = od_.quick_stop_option_code;
+  const DriveState after = machine_.update(in);
+  if (before != after) {
+    if (after == DriveState::operation_enabled && before == DriveState::switched_on) enable();
+    if (before == DriveState::operation_enabled) selection_.disarm();
+    if (before == DriveState::fault && after == DriveState::switch_on_disabled) {
+      for (const Emergency e : kOwnFaults) {
+        if (node_.is_present(e)) node_.clear(e, now);
+      }
+      node_.clear(Emergency::knots_lost, now);
+      status_.fault = Emergency::none;
+      od_.first_fault_cause = 0;
+      od_.error_code = 0;
+    }
+  }
+  // A fault that can pass by itself is forgotten once the joint is safe; the latch stays in the state machine.
+  if (after == DriveState::fault && machine_.fault_reset_requested() == false) {
+    torque_not_finite_ = false;
+    brake_trouble_ = BrakeSequence::Trouble::none;
+    if (parameters_changed_) apply_parameters();
+  }
+}
+
+void Module::enable() noexcept {
+  if (parameters_changed_) apply_parameters();
+  if (!configuration_valid_) return;
+  active_.reset();
+  reference_.start_at(sensing_.position_rad(), sensing_.velocity_rad_s(), config_.reference.stop_deceleration_rad_s2);
+  if (selector_.law() == Law::off) selector_.go_active();
+  selection_.reset();
+  hold_reason_ = LimitCode::none;
+  passive_ended_by_ = LimitCode::none;
+  limit_stop_ = false;
+  knots_have_sequence_ = false;
+  has_last_target_ = false;
+  sync_seen_ = false;
+  saturated_ = false;
+  over_speed_ticks_ = 0;
+  following_error_ticks_ = 0;
+  last_requested_mode_ = od_.modes_of_operation;
+  homing_start_bit_ = true;  // a start bit that was set before does not start
+  homing_.abort();
+}
+
+Authority Module::arbitrate() const noexcept {
+  if (machine_.state() == DriveState::fault_reaction_active || closing()) return Authority::fault_reaction;
+  if (brake_.phase() == BrakeSequence::Phase::off) return Authority::none;
+  // In torque mode the hold lasts until the mode or the state is set anew: there are no knots to take over.
+  if (limit_stop_ && (mode_ == Mode::cyclic_torque || !reference_.at_rest())) return Authority::limit;
+  if (machine_.state() == DriveState::quick_stop_active || (od_.controlword & kControlHalt) != 0)
+    return Authority::user_stop;
+  if (mode_ == Mode::homing) return Authority::homing;
+  return Authority::motion;
+}
+
+void Module::stop_and_hold(float deceleration_rad_s2) noexcept {
+  if (passive() || mode_ == Mode::cyclic_torque) go_active();
+  reference_.stop(deceleration_rad_s2);
+}
+
+void Module::stop_at_limit(LimitCode why) noexcept {
+  limit_stop_ = true;
+  hold_reason_ = why;
+  stop_and_hold(config_.reference.stop_deceleration_rad_s2);
+}
+
+void Module::go_passive(Time now) noexcept {
+  passive_.begin(evidence());
+  selector_.go_passive(passive_.torque_nm());
+  passive_since_ = now;
+  passive_from_rad_ = sensing_.position_rad();
+  passive_ended_by_ = LimitCode::none;
+  hold_reason_ = LimitCode::none;
+  was_blending_ = true;
+  status_.selection_executed_at = now;
+  ++od_.count_selections;
+}
+
+// Where the joint is and as fast as it is, nothing remembered; from there it comes to rest and holds.
+void Module::go_active() noexcept {
+  active_.reset();
+  reference_.start_at(sensing_.position_rad(), sensing_.velocity_rad_s(), config_.reference.stop_deceleration_rad_s2);
+  selector_.go_active();
+  saturated_ = false;
+}
+
+PassiveLaw::Evidence Module::evidence() const noexcept {
+  return {sensing_.velocity_rad_s(), sensing_.joint_torque_nm().valid, sensing_.joint_torque_nm().value, 0.0F};
+}
+
+// Who leads, and what changes when that changes; then the law asked for by selection or mode.
+void Module::lead(Time now) noexcept {
+  const Authority before = authority_;
+  authority_ = arbitrate();
+  if (authority_ != before) {
+    switch (authority_) {
+      case Authority::fault_reaction:
+        stop_and_hold(config_.reference.quick_stop_deceleration_rad_s2);
+        break;
+      case Authority::user_stop:
+        selection_.disarm();
+        hold_reason_ = LimitCode::halt;
+        stop_and_hold(config_.reference.quick_stop_deceleration_rad_s2);
+        break;
+      case Authority::limit:
+      case Authority::calibration:
+      case Authority::homing:
+        break;
+      case Authority::motion:
+        if (hold_reason_ == LimitCode::halt) hold_reason_ = LimitCode::none;
+        if (mode_ == Mode::cyclic_torque) selector_.go_active();
+        break;
+      case Authority::none:
+        selector_.off();
+        selection_.disarm();
+        break;
+    }
+  }
+
+  // Modes. -1 is a change of law within mode 8; it needs an edge, so that enabling never drops the arm.
+  const std::int8_t requested = od_.modes_of_operation;
+  if (requested != last_requested_mode_ || mode_ == Mode::none) {
+    const bool enabled = machine_.state() == DriveState::operation_enabled && brake_.motion_allowed();
+    if (requested == static_cast<std::int8_t>(Mode::passive)) {
+      if (enabled && requested != last_requested_mode_ && may_change_law() && !passive()) go_passive(now);
+      if (mode_ == Mode::none || mode_ == Mode::homing) mode_ = Mode::cyclic_position;
+    } else {
+      if (last_requested_mode_ == static_cast<std::int8_t>(Mode::passive) && passive()) go_active();
+      const auto mode = static_cast<Mode>(requested);
+      if (mode != mode_ && brake_.phase() != BrakeSequence::Phase::off && selector_.law() != Law::off) {
+        go_active();
+        homing_.abort();
+      }
+      limit_stop_ = false;
+      mode_ = mode;
+    }
+    last_requested_mode_ = requested;
+  }
+  if (authority_ == Authority::motion) {
+    if (const std::optional<bool> to_active = selection_.due(now)) {
+      if (*to_active && passive()) {
+        go_active();
+        status_.selection_executed_at = now;
+        ++od_.count_selections;
+      } else if (!*to_active && !passive() && may_change_law()) {
+        go_passive(now);
+      }
+    }
+  }
+  if (authority_ == Authority::homing) {
+    run_homing(now);
+  } else if (homing_.running()) {
+    homing_.abort();
+  }
+  watch_motion(now);
+}
+
+void Module::run_homing(Time now) noexcept {
+  const bool start = (od_.controlword & kControlHomingStart) != 0;
+  const bool edge = start && !homing_start_bit_;
+  homing_start_bit_ = start;
+  if (!start && homing_.running()) {
+    homing_.abort();
+    reference_.stop(config_.reference.stop_deceleration_rad_s2);
+  }
+  if (edge && brake_.motion_allowed()) {
+    if (od_.homing_method == 35 || od_.homing_method == 37) {
+      reference_.shift(sensing_.set_position(static_cast<float>(od_.home_offset_urad) * 1e-6F));
+      homing_.finish();
+      status_.homed = true;
+    } else {
+      homing_.start(now, sensing_.input(kInputHomeSwitch));
+      const float acceleration = static_cast<float>(od_.homing_acceleration_mrad_s2) * 1e-3F;
+      reference_.move_at(homing_.velocity_rad_s(), acceleration);
+    }
+    return;
+  }
+  if (!homing_.running()) return;
+  const float before = homing_.velocity_rad_s();
+  const bool at_edge = homing_.update(now, {sensing_.input(kInputHomeSwitch), sensing_.input(kInputNegativeLimit),
+                                            sensing_.input(kInputPositiveLimit)});
+  if (at_edge) {
+    const float offset = static_cast<float>(od_.home_offset_urad) * 1e-6F;
+    reference_.shift(sensing_.set_position(homing_.config().switch_position_rad + offset));
+    status_.homed = true;
+  }
+  if (!homing_.running()) {
+    reference_.stop(config_.reference.stop_deceleration_rad_s2);
+  } else if (homing_.velocity_rad_s() != before) {
+    reference_.move_at(homing_.velocity_rad_s(), static_cast<float>(od_.homing_acceleration_mrad_s2) * 1e-3F);
+  }
+}
+
+// Limits that stop the joint without being faults.
+void Module::watch_motion(Time now) noexcept {
+  if (!brake_.motion_allowed()) return;
+  const float q = sensing_.position_rad();
+  const LimitsConfig& l = config_.limits;
+  const bool above = status_.homed && q > l.upper_rad + kPositionSlack;
+  const bool below = status_.homed && q < l.lower_rad - kPositionSlack;
+  if (passive()) {
+    LimitCode ended = LimitCode::none;
+    if (now - passive_since_ >= config_.passive.max_time) ended = LimitCode::passive_time;
+    if (!(absolute(q - passive_from_rad_) <= config_.passive.max_travel_rad)) ended = LimitCode::passive_travel;
+    if (above) ended = LimitCode::position_upper;
+    if (below) ended = LimitCode::position_lower;
+    if (sensing_.input(kInputNegativeLimit) || sensing_.input(kInputPositiveLimit)) ended = LimitCode::limit_switch;
+    if (ended != LimitCode::none) {
+      go_active();
+      passive_ended_by_ = ended;
+    }
+    return;
+  }
+  if (authority_ != Authority::motion) return;
+  const MotionState& r = reference_.state();
+  const bool torque = torque_mode();
+  const float direction = torque ? sensing_.velocity_rad_s() : r.velocity_rad_s;
+  if (above && direction > 0.0F) stop_at_limit(LimitCode::position_upper);
+  if (below && direction < 0.0F) stop_at_limit(LimitCode::position_lower);
+  if ((sensing_.input(kInputPositiveLimit) && direction > 0.0F) ||
+      (sensing_.input(kInputNegativeLimit) && direction < 0.0F)) {
+    stop_at_limit(LimitCode::limit_switch);
+  }
+  // The set-point watchdog: the last knot has been continued for as long as it may be.
+  if (reference_.following()) {
+    const Duration bound = pll_.period() * config_.watchdog.missing_knots + pll_.period() / 4;
+    if (reference_.since_knot(now) > bound) {
+      node_.raise(Emergency::knots_lost, now);
+      stop_at_limit(LimitCode::knots_lost);
+    }
+  }
+}
+
+// ---------------------------------------------------------------------------------------------- control
+
+float Module::control_torque(Time now) noexcept {
+  if (config_.sensing.torque_sensor) {
+    // While the sensor is silent for a moment its last word stands; longer is a fault.
+    if (sensing_.joint_torque_nm().valid) load_torque_nm_ = sensing_.joint_torque_nm().value;
+  } else {
+    load_torque_nm_ = static_cast<float>(od_.torque_offset_permille) * 1e-3F * config_.drive.rated_torque_nm;
+  }
+  if (selector_.law() == Law::passive) {
+    if (!selector_.blending()) passive_.update(evidence());
+    const float tau = selector_.step(0.0F, passive_.torque_nm());
+    if (was_blending_ && !selector_.blending()) {
+      was_blending_ = false;
+      status_.blend_ended_at = now;
+    }
+    // q_d := q throughout, so that the way back starts where the joint is.
+    reference_.start_at(sensing_.position_rad(), sensing_.velocity_rad_s(), config_.reference.stop_deceleration_rad_s2);
+    status_.passive_torque_nm = passive_.torque_nm();
+    return tau;
+  }
+  if (selector_.law() == Law::off) return selector_.step(0.0F, 0.0F);
+  if (blind_) {
+    // Without a position the best that can be done until the brake holds: carry what the joint carries, add nothing.
+    return selector_.step(sensing_.joint_torque_nm().valid ? load_torque_nm_ : 0.0F, 0.0F);
+  }
+  if (torque_mode()) {
+    const float target = static_cast<float>(od_.target_torque_permille + od_.torque_offset_permille) * 1e-3F;
+    reference_.start_at(sensing_.position_rad(), sensing_.velocity_rad_s(), config_.reference.stop_deceleration_rad_s2);
+    return selector_.step(target * config_.drive.rated_torque_nm, 0.0F);
+  }
+  const MotionState& r = reference_.step(now);
+  const ActiveLawOutput law = active_.step(sensing_.position_rad() - r.position_rad, sensing_.velocity_rad_s(), r,
+                                           load_torque_nm_, !saturated_ && !selector_.catching_up());
+  status_.active_torque_nm = law.torque_nm;
+  status_.compensator_nm = law.compensator_nm;
+  return selector_.step(law.torque_nm, 0.0F);
+}
+
+void Module::sequence_brake(Time now) noexcept {
+  const DriveState s = machine_.state();
+  BrakeSequence::Inputs in;
+  in.wanted = (s == DriveState::operation_enabled || s == DriveState::quick_stop_active) && configuration_valid_;
+  const Reading& current = sensing_.current_a();
+  in.torque_confirmed =
+      current.valid && !selector_.catching_up() &&
+      absolute(current.value - drive_.commanded_current_a()) <= kConfirmShare * config_.sensing.current_full_scale_a;
+  in.at_rest = blind_ || reference_.at_rest();
+  in.feedback_released = sensing_.input(kInputBrakeReleased);
+  in.cut = cut_;
+  const BrakeSequence::Trouble trouble = brake_.update(now, in);
+  if (trouble != BrakeSequence::Trouble::none) brake_trouble_ = trouble;
+}
+
+// ---------------------------------------------------------------------------------------------- the tick
+
+void Module::step(Time now, const RawSensors& sensors, std::span<const can::ReceivedFrame> received,
+                  ActuatorCommand& actuator, can::TransmitQueue& tx) noexcept {
+  if (!started_) {
+    started_ = true;
+    started_at_ = now;
+  }
+  status_.now = now;
+  sensing_.update(now, sensors);
+  for (const can::ReceivedFrame& frame : received) node_.handle(frame, tx);
+
+  watch(now);
+  decide_state(now);
+  sequence_brake(now);
+  lead(now);
+
+  actuator = {};
+  if (brake_.power_stage_enabled() && !cut_) {
+    const float demanded = control_torque(now);
+    const Drive::Output out = drive_.command(demanded, sensing_.current_a(), sensing_.winding_c(), max_torque_nm_);
+    if (out.finite) {
+      saturated_ = out.limit != DriveLimit::none;
+      drive_limit_ = out.limit;
+      if (saturated_) selector_.set_commanded(out.torque_nm);
+      status_.torque_command_nm = out.torque_nm;
+      actuator.current_duty = out.duty;
+      actuator.power_stage_enabled = true;
+      actuator.brake_release = brake_.brake_release();
+    } else {
+      torque_not_finite_ = true;  // FAULT in the next tick; this one already gives nothing and brakes
+      selector_.off();
+      status_.torque_command_nm = 0.0F;
+    }
+  } else {
+    selector_.off();
+    drive_.idle();
+    drive_limit_ = DriveLimit::none;
+    saturated_ = false;
+    status_.torque_command_nm = 0.0F;
+  }
+  publish();
+  node_.tick(now, tx);
+}
+
+can::LimitCode Module::active_limit() const noexcept {
+  if (machine_.state() != DriveState::operation_enabled) return LimitCode::none;
+  if (!brake_.motion_allowed()) return LimitCode::brake;
+  if (!status_.homed && mode_ != Mode::homing) return LimitCode::not_homed;
+  if (hold_reason_ != LimitCode::none) return hold_reason_;
+  if (passive_ended_by_ != LimitCode::none) return passive_ended_by_;
+  switch (drive_limit_) {
+    case DriveLimit::none:
+      break;
+    case DriveLimit::torque:
+      return LimitCode::torque;
+    case DriveLimit::current_peak:
+      return LimitCode::current;
+    case DriveLimit::current_thermal:
+      return LimitCode::thermal;
+  }
+  if (selector_.law() == Law::active && selector_.catching_up()) return LimitCode::torque_slew;
+  if (reference_.continuing()) return LimitCode::knot_extrapolated;
+  if (mode_ == Mode::cyclic_position && selector_.law() == Law::active && !reference_.following()) {
+    return LimitCode::holding;
+  }
+  return LimitCode::none;
+}
+
+std::uint16_t Module::statusword() const noexcept {
+  std::uint32_t word = machine_.state_bits() | static_cast<std::uint32_t>(kStatusRemote);
+  if (sensing_.bus_voltage_v().valid) word |= kStatusVoltageEnabled;
+  if (node_.is_present(Emergency::knots_lost)) word |= kStatusWarning;
+  if (status_.limit != LimitCode::none) word |= kStatusInternalLimit;
+  switch (mode_) {
+    case Mode::homing:
+      if (reference_.at_rest()) word |= kStatusTargetReached;
+      if (homing_.phase() == Homing::Phase::done) word |= kStatusFollowing;
+      if (homing_.phase() == Homing::Phase::failed) word |= kStatusFollowingError;
+      break;
+    case Mode::cyclic_position:
+      if (status_.following_knots) word |= kStatusFollowing;
+      if (following_error_ticks_ > 0) word |= kStatusFollowingError;
+      break;
+    case Mode::cyclic_torque:
+      if (torque_mode()) word |= kStatusFollowing;
+      break;
+    case Mode::passive:
+    case Mode::none:
+      break;
+  }
+  return static_cast<std::uint16_t>(word);
+}
+
+void Module::publish() noexcept {
+  const MotionState& r = reference_.state();
+  status_.state = machine_.state();
+  status_.authority = authority_;
+  status_.law = selector_.law();
+  status_.brake_released = brake_.motion_allowed();
+  status_.position_rad = sensing_.position_rad();
+  status_.velocity_rad_s = sensing_.velocity_rad_s();
+  status_.joint_torque_nm = sensing_.joint_torque_nm().value;
+  status_.current_a = sensing_.current_a().value;
+  status_.position_valid = sensing_.position_valid();
+  status_.torque_valid = sensing_.joint_torque_nm().valid;
+  status_.reference_position_rad = r.position_rad;
+  status_.reference_velocity_rad_s = r.velocity_rad_s;
+  status_.reference_acceleration_rad_s2 = r.acceleration_rad_s2;
+  status_.thermal_load = drive_.thermal_load();
+  status_.sync_locked = pll_.locked();
+  status_.sync_error_ns = pll_.last_error().ns;
+  status_.clock_drift_ppm = pll_.drift_ppm();
+  status_.following_knots = status_.state == DriveState::operation_enabled && selector_.law() == Law::active &&
+                            mode_ == Mode::cyclic_position && reference_.following();
+  status_.selection_armed = selection_.armed();
+  status_.limit = active_limit();
+
+  // To the bus. A position that is not known is not shown anew: its validity bit says so.
+  const std::uint32_t rated = od_.motor_rated_torque_mnm;
+  max_torque_nm_ = static_cast<float>(od_.max_torque_permille) * 1e-3F * config_.drive.rated_torque_nm;
+  od_.statusword = statusword();
+  status_.mode = passive() ? Mode::passive : mode_;
+  od_.modes_of_operation_display = static_cast<std::int8_t>(status_.mode);
+  if (status_.position_valid) {
+    od_.position_actual_urad = can::urad_from_rad(status_.position_rad).value_or(od_.position_actual_urad);
+    od_.velocity_actual_urad_s = can::urad_s_from_rad_s(status_.velocity_rad_s).value_or(0);
+  }
+  od_.position_demand_urad = can::urad_from_rad(r.position_rad).value_or(0);
+  od_.velocity_demand_urad_s = can::urad_s_from_rad_s(r.velocity_rad_s).value_or(0);
+  od_.following_error_actual_urad = od_.position_demand_urad - od_.position_actual_urad;
+  const float shown_nm = config_.sensing.torque_sensor ? status_.joint_torque_nm : status_.torque_command_nm;
+  od_.torque_actual_permille = can::permille_from_nm(shown_nm, rated).value_or(0);
+  od_.torque_demand_permille = can::permille_from_nm(status_.torque_command_nm, rated).value_or(0);
+  od_.current_actual_permille = can::permille_from_nm(status_.current_a, od_.motor_rated_current_ma).value_or(0);
+  od_.active_limit = static_cast<std::uint16_t>(status_.limit);
+  od_.error_or_limit = status_.fault != Emergency::none ? static_cast<std::uint16_t>(status_.fault) : od_.active_limit;
+  od_.selection_acknowledged = selection_.acknowledgement();
+  status_.selection_acknowledged = od_.selection_acknowledged;
+
+  od_.sync_locked = status_.sync_locked ? 1 : 0;
+  od_.sync_phase_error_ns = static_cast<std::int32_t>(status_.sync_error_ns);
+  od_.sync_drift_ppb = static_cast<std::int32_t>(status_.clock_drift_ppm * 1e3F);
+  od_.winding_temperature_ddegc =
+      static_cast<std::int16_t>(round_to_int(limit(sensing_.winding_c().value * 10.0F, 3e4F)));
+  od_.drive_temperature_degc = static_cast<std::int8_t>(round_to_int(limit(sensing_.drive_c().value, 127.0F)));
+  od_.bus_voltage_cv =
+      static_cast<std::uint16_t>(round_to_int(limit(sensing_.bus_voltage_v().value * 100.0F, 0.0F, 65535.0F)));
+  od_.thermal_use_permille =
+      static_cast<std::uint16_t>(round_to_int(limit(status_.thermal_load * 1e3F, 0.0F, 65535.0F)));
+  std::uint32_t validity = status_.position_valid ? 0x03U : 0U;
+  if (status_.torque_valid) validity |= 0x04U;
+  if (sensing_.current_a().valid) validity |= 0x08U;
+  if (sensing_.winding_c().valid) validity |= 0x10U;
+  if (sensing_.drive_c().valid) validity |= 0x20U;
+  if (sensing_.bus_voltage_v().valid) validity |= 0x40U;
+  if (status_.homed) validity |= 0x80U;
+  od_.validity = static_cast<std::uint16_t>(validity);
+  const std::uint32_t in = sensing_.inputs();
+  // 60FDh: bits 0 negative limit, 1 positive limit, 2 home; 16 index, 17 brake released, 18 power stage fault.
+  od_.digital_inputs = (in & 0x07U) | ((in >> 3U) & 0x07U) << 16U;
+  od_.brake_released = sensing_.input(kInputBrakeReleased) ? 1 : 0;
+  od_.uptime_us += static_cast<std::uint64_t>(dt_s_ * 1e6F + 0.5F);
+}
+
+}  // namespace mrr::fw
