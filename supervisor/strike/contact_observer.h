@@ -5,6 +5,7 @@
 #include <array>
 #include <cstdint>
 
+#include "common/core/containers.h"
 #include "common/core/time.h"
 #include "common/robot/robot.h"
 #include "supervisor/model/chain.h"
@@ -19,6 +20,7 @@ struct ContactConfig {
   int release_samples = 2;           ///< ... for that many samples
   double baseline_time_s = 0.04;     ///< time constant of the baseline and its noise, before contact
   double settle_s = 0.02;            ///< no detection before this much was seen since reset()
+  double max_gap_s = 0.03;           ///< longer without a sample: the observer starts anew
   double max_contact_s = 0.5;        ///< a contact is closed after this
 };
 
@@ -42,8 +44,10 @@ struct ContactReport {
   double deepest_m = 0.0;         ///< deepest the face went past where contact began (>= penetration)
   double speed_before_m_s = 0.0;  ///< along -normal
   double speed_after_m_s = 0.0;   ///< along -normal, negative: it bounced
-  JointVector q_start;            ///< link side, at the start
-  JointVector qd_before;          ///< rad/s, link side
+  Eigen::Vector3d face_start_m = Eigen::Vector3d::Zero();  ///< face centre where contact began, link side, base frame
+  Eigen::Vector3d face_end_m = Eigen::Vector3d::Zero();    ///< ... and where it ended: where the head now is
+  JointVector q_start;                                     ///< link side, at the start
+  JointVector qd_before;                                   ///< rad/s, link side
   JointVector qd_after;
 };
 
@@ -70,16 +74,32 @@ class ContactObserver {
   [[nodiscard]] std::uint32_t skipped() const noexcept { return skipped_; }
 
  private:
+  static constexpr std::size_t kHistory = 12;
   struct Instant {
     Time time;
-    JointVector q;   // link side
-    JointVector qd;  // link side
-    JointVector bias_less_torque;
+    JointVector q;                 // link side
+    JointVector qd;                // link side
+    JointVector flexion;           // motor side less link side
+    JointVector bias_less_torque;  // h - tau_s
     JointMatrix M;
+    JointVector J_n;  // J_h^T n
     Eigen::Vector3d face = Eigen::Vector3d::Zero();
-    Eigen::Matrix<double, 1, Eigen::Dynamic, Eigen::RowMajor, 1, kMaxJoints> J_n;
   };
-  Instant evaluate(Time now, const ContactSample& sample) noexcept;
+  /// The end of an interval, and the mean force in it.
+  struct Trace {
+    Time time;
+    double dt_s = 0.0;
+    double force_n = 0.0;
+    double speed_m_s = 0.0;
+    Eigen::Vector3d face = Eigen::Vector3d::Zero();
+    JointVector q;
+    JointVector qd;
+  };
+  [[nodiscard]] Instant evaluate(Time now, const ContactSample& sample) const noexcept;
+  [[nodiscard]] double force_along_normal(const Instant& at, const JointVector& torque) const noexcept;
+  void before_contact(double excess_n, double dt_s) noexcept;
+  void begin_contact() noexcept;
+  void during_contact(const Trace& trace, double excess_n) noexcept;
 
   const Chain* chain_;
   ContactConfig config_;
@@ -87,20 +107,16 @@ class ContactObserver {
   Eigen::Vector3d normal_ = Eigen::Vector3d::UnitZ();
   Instant last_;
   bool has_last_ = false;
-  JointVector flexion_;
   JointVector residual_;
   double force_n_ = 0.0;
   double threshold_n_ = 0.0;
   double baseline_n_ = 0.0;
   double variance_n2_ = 0.0;
   double seen_s_ = 0.0;
-  // Since the force left the noise: what a contact is backdated by.
-  bool rising_ = false;
-  Instant rise_;
-  double rise_impulse_n_s_ = 0.0;
+  double rising_s_ = 0.0;  // how long the force has been above the noise without a contact
   int low_samples_ = 0;
-  Instant release_;
-  double release_impulse_n_s_ = 0.0;
+  StaticVector<Trace, kHistory> history_;  // newest last
+  ContactReport at_release_;
   std::uint32_t skipped_ = 0;
   ContactReport report_;
 };

@@ -2,6 +2,8 @@
 // aim. May touch supervisor/impact and the contact observer. Allocates nothing, throws nothing.
 #pragma once
 
+#include <limits>
+
 #include "supervisor/strike/contact_observer.h"
 #include "supervisor/strike/planner.h"
 

@@ -25,7 +25,7 @@ struct Range {
 class Quintic {
  public:
   Quintic() = default;
-  /// The only quintic with these two end states; reference 4.2, closed form. Precondition: duration_s > 0.
+  /// The only quintic with these two end states; Hermite conditions, closed form. Precondition: duration_s > 0.
   [[nodiscard]] static Quintic between(const QuinticState& start, const QuinticState& end, double duration_s) noexcept;
 
   /// State at t, s. Outside 0..duration the polynomial goes on: the caller clamps.

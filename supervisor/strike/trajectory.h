@@ -1,8 +1,10 @@
 // Room: supervisor/strike. Joint trajectories of a few quintic segments, and the builders that find their durations.
-// May touch common/ and supervisor/model. Sampling allocates nothing and throws nothing; building may do neither in the
-// cycle.
+// May touch common/, supervisor/model and friction. Sampling allocates nothing and throws nothing; building may do
+// neither in the cycle.
 #pragma once
 
+#include <cstdint>
+#include <limits>
 #include <optional>
 #include <string>
 

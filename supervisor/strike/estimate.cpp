@@ -1,0 +1,68 @@
+#include "supervisor/strike/estimate.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "supervisor/impact/external.h"
+
+namespace mrr::sup {
+
+StrikeEstimator::StrikeEstimator(double assumed_contact_s, const StrikeEstimateConfig& config) noexcept
+    : config_(config), contact_s_(std::clamp(assumed_contact_s, config.min_contact_s, config.max_contact_s)) {}
+
+bool StrikeEstimator::learn(const StrikePlan& plan, const ContactReport& report) noexcept {
+  const double P = report.impulse_n_s;
+  const double t = (report.end - report.start).seconds();
+  const double d = report.penetration_m;
+  const double v = report.speed_before_m_s;
+  if (report.phase != ContactPhase::over || !(P > 0.0 && t > 0.0 && v > 0.0) || !std::isfinite(P + d + v)) return false;
+  const auto blend = [&](double old, double fresh) {
+    const double weight = blows_ == 0 ? 0.0 : config_.memory;
+    return weight * old + (1.0 - weight) * fresh;
+  };
+
+  const double moved = std::max(d, 0.0);
+  const double infinity = std::numeric_limits<double>::infinity();
+  double fresh_mass = infinity;
+  if (moved > config_.least_penetration_m) fresh_mass = effective_nail_mass_kg(P, t, moved);  // (33), (34)
+  // Blend mobilities 1/M*: infinite mass is then an ordinary value, 0.
+  const double mobility = blend(1.0 / nail_mass_kg_, 1.0 / std::max(fresh_mass, config_.min_nail_mass_kg));
+  nail_mass_kg_ = mobility * config_.max_nail_mass_kg > 1.0 ? 1.0 / mobility : infinity;
+
+  // e from the impulse, with the mass this blow showed: (36) or (54) solved for e.
+  const double e = restitution_from_impulse(P, v, plan.effective_mass_kg, fresh_mass);
+  if (std::isfinite(e)) restitution_ = blend(restitution_, std::clamp(e, 0.0, 1.0));
+  contact_s_ = blend(contact_s_, std::clamp(t, config_.min_contact_s, config_.max_contact_s));
+
+  if (moved > config_.least_penetration_m) {
+    const double middle = depth_m_ + 0.5 * moved;
+    const double resistance = P / t;
+    s1_ += 1.0;
+    sd_ += middle;
+    sdd_ += middle * middle;
+    sr_ += resistance;
+    sdr_ += middle * resistance;
+  }
+  depth_m_ += moved;
+  // The nail goes where the reference goes, give or take what the blow adds and the joints give way.
+  const double offset = moved - plan.follow_through_m;
+  offset_m_ = has_offset_ ? config_.memory * offset_m_ + (1.0 - config_.memory) * offset : offset;
+  has_offset_ = true;
+  ++blows_;
+  return true;
+}
+
+double StrikeEstimator::resistance_n(double depth_m) const noexcept {
+  if (!(s1_ > 0.0)) return 0.0;
+  const double spread = s1_ * sdd_ - sd_ * sd_;
+  double slope = spread > 1e-8 * s1_ * s1_ ? (s1_ * sdr_ - sd_ * sr_) / spread : 0.0;
+  slope = std::max(slope, 0.0);  // a nail does not get easier to drive; a fit that says so is noise
+  return std::max((sr_ - slope * sd_) / s1_ + slope * depth_m, 0.0);
+}
+
+double StrikeEstimator::follow_through_for(double wanted_m) const noexcept {
+  if (!(wanted_m >= 0.0)) return 0.0;
+  return std::clamp(wanted_m - (has_offset_ ? offset_m_ : 0.0), 0.0, config_.max_follow_through_m);
+}
+
+}  // namespace mrr::sup

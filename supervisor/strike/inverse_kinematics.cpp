@@ -1,0 +1,279 @@
+#include "supervisor/strike/inverse_kinematics.h"
+
+#include <fmt/format.h>
+
+#include <Eigen/Cholesky>
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+
+#include "common/core/random.h"
+#include "supervisor/strike/joint_norm.h"
+
+namespace mrr::sup {
+namespace {
+
+constexpr double kPositionTolerance = 1e-7;  // m
+constexpr double kMetresPerRadian = 0.3;     // what a radian of tilt counts against a metre
+constexpr int kIterations = 120;
+
+using Residual = Eigen::Matrix<double, 6, 1>;
+
+/// Rotation vector that turns unit a onto unit b the short way; its length is the angle, rad.
+Eigen::Vector3d rotation_between(const Eigen::Vector3d& a, const Eigen::Vector3d& b) {
+  const Eigen::Vector3d cross = a.cross(b);
+  const double s = cross.norm();
+  const double c = a.dot(b);
+  if (s > 1e-12) return cross * (std::atan2(s, c) / s);
+  if (c > 0.0) return Eigen::Vector3d::Zero();
+  return a.unitOrthogonal() * std::numbers::pi;
+}
+
+struct Problem {
+  const Chain& chain;
+  const FaceTarget& target;
+  JointVector lower;
+  JointVector upper;
+
+  [[nodiscard]] FaceSolution assess(const JointVector& q) const {
+    const Pose face = chain.face_pose(q);
+    const Eigen::Vector3d off = face.position_m - target.position_m;
+    FaceSolution s;
+    s.q = q;
+    s.normal_error_m = off.dot(target.normal);
+    s.lateral_error_m = (off - target.normal * s.normal_error_m).norm();
+    s.tilt_rad = rotation_between(face.rotation.col(2), -target.normal).norm();
+    return s;
+  }
+
+  [[nodiscard]] JointVector clamped(const JointVector& q) const { return q.cwiseMax(lower).cwiseMin(upper); }
+};
+
+/// What a search counts as error: metres along the normal, metres sideways, radians of tilt beyond `free_tilt_rad`.
+struct Weights {
+  double normal = 1.0;
+  double lateral = 1.0;
+  double tilt = 1.0;
+  double free_tilt_rad = 0.0;
+};
+
+struct Linearised {
+  Residual error;
+  Jacobian J;
+};
+
+Linearised linearise(const Problem& problem, const JointVector& q, const Weights& w) {
+  const ChainPose pose = problem.chain.pose(q);
+  const Eigen::Vector3d n = problem.target.normal;
+  const Eigen::Matrix3d along = n * n.transpose();
+  const Eigen::Matrix3d scale = w.normal * along + w.lateral * (Eigen::Matrix3d::Identity() - along);
+  const Eigen::Vector3d axis = pose.face.rotation.col(2);
+  const Eigen::Vector3d turn = rotation_between(axis, -n);
+  const double angle = turn.norm();
+  const double beyond = std::max(angle - w.free_tilt_rad, 0.0);
+  const double tilt_scale = beyond > 0.0 ? w.tilt * kMetresPerRadian : 0.0;
+
+  Linearised l;
+  l.J = problem.chain.jacobian(pose);
+  l.error.head<3>() = scale * (problem.target.position_m - pose.face.position_m);
+  if (angle > 0.0) {
+    l.error.tail<3>() = turn * (tilt_scale * beyond / angle);
+  } else {
+    l.error.tail<3>().setZero();
+  }
+  const Eigen::Matrix3d across = Eigen::Matrix3d::Identity() - axis * axis.transpose();  // spin about the axis is free
+  l.J.topRows<3>() = (scale * l.J.topRows<3>()).eval();
+  l.J.bottomRows<3>() = (tilt_scale * across * l.J.bottomRows<3>()).eval();
+  return l;
+}
+
+/// Levenberg-Marquardt within joint limits: steps are clamped, joints at a limit that push outwards are left out.
+JointVector descend(const Problem& problem, JointVector q, const Weights& weights, int iterations) {
+  const Eigen::Index n = q.size();
+  double damping = 1e-3;
+  Linearised at_q = linearise(problem, q, weights);
+  double cost = at_q.error.squaredNorm();
+  for (int k = 0; k < iterations && cost > 1e-22; ++k) {
+    JointVector gradient = at_q.J.transpose() * at_q.error;
+    JointMatrix normal_matrix = at_q.J.transpose() * at_q.J;
+    for (Eigen::Index i = 0; i < n; ++i) {
+      const bool stuck =
+          (q[i] <= problem.lower[i] && gradient[i] < 0.0) || (q[i] >= problem.upper[i] && gradient[i] > 0.0);
+      if (!stuck) continue;
+      gradient[i] = 0.0;
+      normal_matrix.row(i).setZero();
+      normal_matrix.col(i).setZero();
+    }
+    if (largest_magnitude(gradient) < 1e-16) break;
+    normal_matrix.diagonal().array() += damping;
+    JointVector step = normal_matrix.ldlt().solve(gradient);
+    const double longest = largest_magnitude(step);
+    if (!(longest < 1e3)) break;
+    if (longest > 0.6) step *= 0.6 / longest;
+    const JointVector candidate = problem.clamped(q + step);
+    const Linearised at_candidate = linearise(problem, candidate, weights);
+    const double candidate_cost = at_candidate.error.squaredNorm();
+    if (candidate_cost < cost) {
+      const bool done = cost - candidate_cost < 1e-14 * cost && damping < 1e-10;
+      q = candidate;
+      at_q = at_candidate;
+      cost = candidate_cost;
+      damping = std::max(damping * 0.2, 1e-14);
+      if (done) break;
+    } else {
+      damping *= 8.0;
+      if (damping > 1e6) break;
+    }
+  }
+  return q;
+}
+
+/// From a start to a solution: tilt first counts in full, then only beyond what is allowed, at last not at all. (An arm
+/// with few joints cannot meet position and tilt both; position is what must be exact.)
+FaceSolution search(const Problem& problem, const JointVector& start) {
+  const double allowed = problem.target.max_tilt_rad;
+  const bool five_dimensional = start.size() >= 5;
+  JointVector q =
+      descend(problem, problem.clamped(start), {1.0, 1.0, five_dimensional ? 1.0 : 0.3, 0.0}, kIterations / 2);
+  q = descend(problem, q, {1.0, 1.0, 1.0, 0.8 * allowed}, kIterations / 2);
+  q = descend(problem, q, {1.0, 1.0, 0.0, 0.0}, kIterations);
+  FaceSolution found = problem.assess(q);
+  const bool exact =
+      std::abs(found.normal_error_m) <= kPositionTolerance && found.lateral_error_m <= kPositionTolerance;
+  if (exact || !(problem.target.max_lateral_m > 0.0)) return found;
+  // Out of reach by a little: exact along the normal, as near as it gets sideways.
+  q = descend(problem, q, {100.0, 1.0, 0.0, 0.0}, kIterations);
+  q = descend(problem, q, {1.0, 0.0, 0.0, 0.0}, kIterations);
+  const FaceSolution off_centre = problem.assess(q);
+  return off_centre.lateral_error_m <= problem.target.max_lateral_m ? off_centre : found;
+}
+
+bool accepted(const FaceTarget& target, const FaceSolution& s) {
+  return std::abs(s.normal_error_m) <= kPositionTolerance &&
+         s.lateral_error_m <= std::max(target.max_lateral_m, kPositionTolerance) && s.tilt_rad <= target.max_tilt_rad;
+}
+
+double badness(const FaceTarget& target, const FaceSolution& s) {
+  return std::hypot(s.normal_error_m, s.lateral_error_m) +
+         kMetresPerRadian * std::max(s.tilt_rad - target.max_tilt_rad, 0.0);
+}
+
+double distance(const JointVector& a, const JointVector& b) { return largest_magnitude(a - b); }
+
+/// Unit joint motion that moves neither face nor its axis, nearest to `wish`; zero if there is none.
+JointVector null_motion(const Problem& problem, const JointVector& q, const JointVector& wish) {
+  const Linearised l = linearise(problem, q, {1.0, 1.0, 1.0, -1.0});
+  JointMatrix A = l.J.transpose() * l.J;
+  A.diagonal().array() += 1e-9;
+  const Residual moved = l.J * wish;
+  const JointVector pull = l.J.transpose() * moved;
+  JointVector motion = wish - A.ldlt().solve(pull);
+  const double size = largest_magnitude(motion);
+  if (!(size > 1e-3)) return JointVector::Zero(q.size());
+  return motion / size;
+}
+
+class Collection {
+ public:
+  Collection(const Problem& problem, const IkOptions& options, double apart)
+      : problem_(problem), options_(options), apart_(apart) {}
+
+  void enter(const FaceSolution& s) {
+    if (!s.q.allFinite()) return;
+    if (!accepted(problem_.target, s)) {
+      if (closest_.q.size() == 0 || badness(problem_.target, s) < badness(problem_.target, closest_)) closest_ = s;
+      return;
+    }
+    if (full()) return;
+    for (const FaceSolution& other : found_) {
+      if (distance(other.q, s.q) < apart_) return;
+    }
+    found_.push_back(s);
+  }
+  [[nodiscard]] bool full() const { return static_cast<int>(found_.size()) >= options_.max_solutions; }
+  [[nodiscard]] std::vector<FaceSolution>& found() { return found_; }
+  [[nodiscard]] const FaceSolution& closest() const { return closest_; }
+
+ private:
+  const Problem& problem_;
+  const IkOptions& options_;
+  double apart_;
+  std::vector<FaceSolution> found_;
+  FaceSolution closest_;
+};
+
+std::string unreachable(const FaceTarget& target, const FaceSolution& closest) {
+  const double off_mm = 1e3 * std::hypot(closest.normal_error_m, closest.lateral_error_m);
+  const double tilt_deg = closest.tilt_rad * 180.0 / std::numbers::pi;
+  const double allowed_deg = target.max_tilt_rad * 180.0 / std::numbers::pi;
+  return fmt::format(
+      "the point ({:.4f}, {:.4f}, {:.4f}) m cannot be reached: the closest pose within joint limits is {:.2f} mm away "
+      "and tilted by {:.2f} deg ({:.2f} deg allowed)",
+      target.position_m.x(), target.position_m.y(), target.position_m.z(), off_mm, tilt_deg, allowed_deg);
+}
+
+}  // namespace
+
+IkResult solve_face_on_point(const RobotDescription& robot, const Chain& chain, const FaceTarget& target,
+                             const JointVector& near, const IkOptions& options) {
+  const int n = chain.dof();
+  Problem problem{chain, target, JointVector(n), JointVector(n)};
+  for (int i = 0; i < n; ++i) {
+    problem.lower[i] = robot.joints[static_cast<std::size_t>(i)].limits.lower_rad;
+    problem.upper[i] = robot.joints[static_cast<std::size_t>(i)].limits.upper_rad;
+  }
+  const bool redundant = n > 5;
+  Collection collection(problem, options, redundant ? options.distinct_rad : options.same_rad);
+  Random random(options.seed);
+
+  collection.enter(search(problem, near));
+  collection.enter(search(problem, JointVector::Zero(n)));
+  collection.enter(search(problem, 0.5 * (problem.lower + problem.upper)));
+  for (int k = 0; k < options.starts && !collection.full(); ++k) {
+    JointVector start(n);
+    for (int i = 0; i < n; ++i) start[i] = random.uniform(problem.lower[i], problem.upper[i]);
+    collection.enter(search(problem, start));
+  }
+
+  // A redundant arm moves on along its null space from everything found so far.
+  const std::size_t isolated = collection.found().size();
+  for (std::size_t k = 0; redundant && k < isolated && !collection.full(); ++k) {
+    JointVector wish(n);
+    for (int i = 0; i < n; ++i) wish[i] = random.uniform(-1.0, 1.0);
+    for (const double way : {1.0, -1.0}) {
+      JointVector q = collection.found()[k].q;
+      JointVector heading = way * wish;
+      for (int step = 0; step < options.null_space_steps && !collection.full(); ++step) {
+        const JointVector motion = null_motion(problem, q, heading);
+        if (motion.isZero()) break;
+        const FaceSolution next = search(problem, q + options.null_space_step_rad * motion);
+        if (!accepted(target, next)) break;
+        collection.enter(next);
+        q = next.q;
+        heading = motion;
+      }
+    }
+  }
+
+  IkResult result;
+  result.solutions = std::move(collection.found());
+  std::stable_sort(result.solutions.begin(), result.solutions.end(), [&](const FaceSolution& a, const FaceSolution& b) {
+    return distance(a.q, near) < distance(b.q, near);
+  });
+  // Struck off centre only if the centre itself is out of reach.
+  const auto on_centre = [](const FaceSolution& s) { return s.lateral_error_m <= kPositionTolerance; };
+  if (std::any_of(result.solutions.begin(), result.solutions.end(), on_centre)) {
+    std::erase_if(result.solutions, [&](const FaceSolution& s) { return !on_centre(s); });
+  } else if (!result.solutions.empty()) {
+    double least = result.solutions.front().lateral_error_m;
+    for (const FaceSolution& s : result.solutions) least = std::min(least, s.lateral_error_m);
+    std::erase_if(result.solutions, [&](const FaceSolution& s) { return s.lateral_error_m > least + 2e-4; });
+  } else {
+    result.closest = collection.closest();
+    result.why = unreachable(target, result.closest);
+  }
+  return result;
+}
+
+}  // namespace mrr::sup
