@@ -1,0 +1,70 @@
+#include "cli/files.h"
+
+#include <fmt/format.h>
+
+#include <fstream>
+#include <string>
+
+#include "common/robot/errors.h"
+
+namespace mrr::cli {
+
+namespace fs = std::filesystem;
+
+fs::path data_root() {
+  std::error_code error;
+  const fs::path program = fs::read_symlink("/proc/self/exe", error);
+  for (fs::path folder = program.parent_path(); !folder.empty(); folder = folder.parent_path()) {
+    for (const fs::path& root : {folder, folder / "share" / "mrr"}) {
+      if (fs::is_directory(root / "robots" / "boards") && fs::is_regular_file(root / "tools" / "report.py"))
+        return root;
+    }
+    if (folder == folder.root_path()) break;
+  }
+  throw DescriptionError(
+      fmt::format("{}: no folder above it holds robots/ and tools/; run it from a checkout or an "
+                  "installation",
+                  program.string()));
+}
+
+fs::path find_robot(const fs::path& path) {
+  if (fs::is_directory(path)) return path;
+  const fs::path shipped = data_root() / path;
+  if (path.is_relative() && fs::is_directory(shipped)) return shipped;
+  throw DescriptionError(
+      fmt::format("{}: no such robot folder here or in {}; a robot folder holds robot.urdf and "
+                  "robot.yaml",
+                  path.string(), data_root().string()));
+}
+
+fs::path find_board(const std::string& name_or_path) {
+  if (fs::is_regular_file(name_or_path)) return name_or_path;
+  const fs::path boards = data_root() / "robots" / "boards";
+  const fs::path shipped = boards / (name_or_path + ".yaml");
+  if (fs::is_regular_file(shipped)) return shipped;
+  std::string names;
+  for (const fs::directory_entry& entry : fs::directory_iterator(boards)) {
+    if (entry.path().extension() == ".yaml") names += (names.empty() ? "" : ", ") + entry.path().stem().string();
+  }
+  throw DescriptionError(
+      fmt::format("{}: no such board; give the path of a board's YAML file or one of: {}", name_or_path, names));
+}
+
+void write_whole(const fs::path& file, const std::function<void(std::ostream&)>& write) {
+  const fs::path partial = file.string() + ".partial";
+  {
+    std::ofstream out(partial, std::ios::binary | std::ios::trunc);
+    if (!out)
+      throw DescriptionError(fmt::format("{}: cannot be written; check the folder and its permissions", file.string()));
+    write(out);
+    out.flush();
+    if (!out) {
+      std::error_code ignored;
+      fs::remove(partial, ignored);
+      throw DescriptionError(fmt::format("{}: writing failed; is the disk full?", file.string()));
+    }
+  }
+  fs::rename(partial, file);
+}
+
+}  // namespace mrr::cli

@@ -1,0 +1,130 @@
+#include "cli/hammer.h"
+
+#include <fmt/format.h>
+#include <spawn.h>
+#include <sys/wait.h>
+
+#include <chrono>
+#include <filesystem>
+#include <fstream>
+#include <memory>
+#include <sstream>
+
+#include "cli/files.h"
+#include "cli/json.h"
+#include "cli/print.h"
+#include "common/robot/errors.h"
+#include "sim_vcan/world/hammer_job.h"
+
+extern char** environ;
+
+namespace mrr::cli {
+
+namespace {
+
+namespace fs = std::filesystem;
+
+struct HammerArguments {
+  std::string robot = "robots/mrr3";
+  std::string board = "styrofoam";
+  std::string out = "out";
+  std::uint64_t seed = 1;
+  int swings = 0;
+  sup::PassiveMode mode = sup::PassiveMode::planned;
+  bool as_printed = false;
+  bool json = false;
+  bool no_report = false;
+};
+
+/// Runs tools/report.py on the folder; false if it failed. Its messages go to stderr.
+bool make_report(const fs::path& out) {
+  const std::string tool = (data_root() / "tools" / "report.py").string();
+  const std::string folder = out.string();
+  const char* const arguments[] = {"/usr/bin/python3", tool.c_str(), folder.c_str(), nullptr};
+  pid_t child = 0;
+  if (posix_spawn(&child, arguments[0], nullptr, nullptr, const_cast<char* const*>(arguments), environ) != 0)
+    return false;
+  int status = 0;
+  return waitpid(child, &status, 0) == child && WIFEXITED(status) && WEXITSTATUS(status) == 0;
+}
+
+int run(const HammerArguments& arguments) {
+  const RobotDescription robot = load_robot(find_robot(arguments.robot));
+  const sim::PlantDescription plant = sim::load_plant(robot, find_board(arguments.board));
+
+  sim::HammerJobOptions options;
+  options.world.seed = arguments.seed;
+  options.session.seed = arguments.seed;
+  options.session.max_swings = arguments.swings;
+  options.session.mode = arguments.mode;
+  options.session.formulation = arguments.as_printed ? sup::Formulation::as_printed : sup::Formulation::corrected;
+
+  std::ostringstream bus_log;
+  sim::CandumpWriter frames(bus_log, robot.bus.interface);
+  sim::Telemetry telemetry(robot);
+  ProgressBar bar(robot.task.nail_height_m * 1e3);
+  const auto began = std::chrono::steady_clock::now();
+  const sim::HammerJobResult result = sim::run_hammer_job(
+      robot, plant, options, &frames, &telemetry,
+      [&bar](double simulated_s, int swings, double height_m) { bar.update(simulated_s, swings, height_m * 1e3); });
+  const double wall_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - began).count();
+  const double realtime_factor = result.simulated_s / wall_s;
+  bar.clear();
+
+  // Nothing was ever hit, so there is nothing to report: the reason is all there is.
+  if (result.swings.empty()) throw PlanError(result.reason);
+
+  const nlohmann::ordered_json json = result_json(robot, result, realtime_factor);
+  const fs::path out = arguments.out;
+  std::error_code error;
+  fs::create_directories(out, error);
+  if (error) throw DescriptionError(fmt::format("{}: cannot be made: {}", out.string(), error.message()));
+  write_whole(out / "bus.log", [&](std::ostream& file) { file << bus_log.view(); });
+  write_whole(out / "telemetry.csv", [&](std::ostream& file) { telemetry.write_csv(file); });
+  write_whole(out / "result.json", [&](std::ostream& file) { file << json.dump(2) << '\n'; });
+  const bool reported = arguments.no_report || make_report(out);
+
+  if (arguments.json) {
+    fmt::print("{}\n", json.dump(2));
+  } else {
+    fmt::print("MRR: {} on {}, seed {}\n\n", robot.name, arguments.board, arguments.seed);
+    fmt::print("{}\n{}", plan_text(robot, result.swings.front().plan), swing_header());
+    for (std::size_t k = 0; k < result.swings.size(); ++k) {
+      fmt::print("{}", swing_text(robot, result.swings[k], result.truth[k]));
+    }
+    fmt::print("\n{}", verdict_text(robot, result, realtime_factor));
+    fmt::print("  files   {}/: {}bus.log, telemetry.csv, result.json\n", out.string(),
+               arguments.no_report || !reported ? "" : "report.html, ");
+  }
+  if (!reported)
+    fmt::print(stderr, "mrr: the report could not be made; the data it is made from are in {}\n", out.string());
+  return result.success() && reported ? kExitDone : kExitNotDone;
+}
+
+}  // namespace
+
+void add_hammer_command(CLI::App& app, int& status) {
+  auto arguments = std::make_shared<HammerArguments>();
+  CLI::App* command =
+      app.add_subcommand("hammer", "Drive a nail with the simulated robot, from switched off to verdict");
+  command->add_option("--robot", arguments->robot, "Folder with robot.urdf and robot.yaml")->capture_default_str();
+  command->add_option("--board", arguments->board, "styrofoam, hardwood, or a board's YAML file")
+      ->capture_default_str();
+  command->add_option("--seed", arguments->seed, "Seed of noise, clocks and tolerances; 0: all nominal")
+      ->capture_default_str();
+  command->add_option("--out", arguments->out, "Folder for the report and the recordings")->capture_default_str();
+  command->add_option("--swings", arguments->swings, "Largest number of swings (default: the task's)")
+      ->check(CLI::Range(1, 1000));
+  const std::map<std::string, sup::PassiveMode> modes{
+      {"planned", sup::PassiveMode::planned}, {"never", sup::PassiveMode::never}, {"always", sup::PassiveMode::always}};
+  command->add_option("--mode", arguments->mode, "Passive switching: planned, never, or always all joints")
+      ->transform(CLI::CheckedTransformer(modes, CLI::ignore_case))
+      ->default_str("planned");
+  command->add_flag("--as-printed", arguments->as_printed,
+                    "Evaluate the reference's equations as printed, slips included, and show its tables");
+  command->add_flag("--json", arguments->json, "Print one JSON object (docs/result.schema.json) and nothing else");
+  command->add_flag("--no-report", arguments->no_report, "Do not make report.html");
+  command->callback([arguments, &status] { status = run(*arguments); });
+}
+
+}  // namespace mrr::cli
