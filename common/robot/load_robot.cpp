@@ -173,7 +173,7 @@ ControlDescription read_control(const YamlReader& yaml, const JointDescription& 
 
 SensorsDescription read_sensors(const YamlReader& yaml, const JointDescription& joint) {
   SensorsDescription s;
-  s.encoder_counts_per_turn = static_cast<std::int32_t>(yaml.integer("encoder_counts", 4, 1 << 24));
+  s.encoder_counts_per_turn = static_cast<std::int32_t>(yaml.integer("encoder_counts", 4, 1 << 26));
   const double reach_rad = std::max(std::abs(joint.limits.lower_rad), std::abs(joint.limits.upper_rad));
   const double counts = s.encoder_counts_per_turn * joint.transmission.gear_ratio * reach_rad / (2.0 * kPi);
   // A factor of two is left for the zero offset.

@@ -652,7 +652,10 @@ std::size_t YamlReader::choice_index(std::string_view key, const std::vector<std
 }
 
 void YamlReader::fail(std::string_view key, const std::string& problem) const {
-  if (const YAML::Node* node = section_->find(key); node != nullptr) section_->value_error(key, *node, problem);
+  if (const YAML::Node* node = section_->find(key); node != nullptr) {
+    if (is_plain_scalar(*node)) section_->value_error(key, *node, problem);
+    section_->error(Section::line_of(*node), section_->full_key(key) + ": " + problem);
+  }
   section_->error(section_->line, section_->full_key(key) + " is left out, but " + problem);
 }
 

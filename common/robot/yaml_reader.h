@@ -155,7 +155,8 @@ class YamlReader {
     return has(key) ? choice(key, options) : (mark_known(key), fallback);
   }
 
-  /// For checks across keys: throws "FILE, line N: PATH.key is VALUE, but PROBLEM." `problem` says what to do instead.
+  /// For checks across keys: throws "FILE, line N: PATH.key is 'VALUE', but PROBLEM.", or, for a section or list,
+  /// "PATH.key: PROBLEM."; `problem` says what to do instead.
   [[noreturn]] void fail(std::string_view key, const std::string& problem) const;
   /// For checks of the whole section: throws "FILE, line N: PATH: PROBLEM."
   [[noreturn]] void fail(const std::string& problem) const;

@@ -5,7 +5,6 @@
 #include <gtest/gtest.h>
 #include <unistd.h>
 
-#include <cctype>
 #include <filesystem>
 #include <fstream>
 #include <regex>
@@ -43,9 +42,7 @@ inline void expect_one_sentence(const std::string& text) {
   ASSERT_FALSE(text.empty()) << "nothing was reported";
   EXPECT_EQ(text.find('\n'), std::string::npos) << text;
   EXPECT_TRUE(text.back() == '.' || text.back() == '?') << text;
-  EXPECT_FALSE(std::ispunct(static_cast<unsigned char>(text[text.size() - 2])) != 0 && text[text.size() - 2] != '\'' &&
-               text[text.size() - 2] != ')')
-      << text;
+  EXPECT_EQ(std::string(".?!,;: ").find(text[text.size() - 2]), std::string::npos) << text;
   EXPECT_FALSE(std::regex_search(text, std::regex("\\. [A-Z]"))) << text;
 }
 
