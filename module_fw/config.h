@@ -52,7 +52,10 @@ struct ControlConfig {
   float position_gain_nm_rad = 0.0F;    ///< K_P
   float velocity_gain_nm_s_rad = 0.0F;  ///< K_D
   float friction_feedforward = 1.0F;    ///< share of the identified friction
-  float still_velocity_rad_s = 2e-3F;   ///< below it the sign of motion is taken from the reference, and fades
+  float still_velocity_rad_s =
+      0.01F;  ///< below it the direction of friction is the reference's; > 2 encoder counts per tick
+  float moving_velocity_rad_s = 0.02F;  ///< from it on it is that of the motion itself
+  float reference_still_rad_s = 2e-3F;  ///< a reference slower than this fades out of the direction
   CompensatorConfig compensator;
 };
 
@@ -73,7 +76,7 @@ struct PassiveConfig {
 struct ReferenceConfig {
   float stop_deceleration_rad_s2 = 20.0F;        ///< controlled stop, halt, return from passive
   float quick_stop_deceleration_rad_s2 = 40.0F;  ///< quick stop, fault reaction
-  float settle_rate_1_s = 40.0F;                 ///< the last bit of a stop is exponential with this rate
+  float settle_rate_1_s = 100.0F;                ///< the last bit of a stop is exponential with this rate
   float resync_window_rad = 0.01F;               ///< a knot this near to the held reference takes over
   float resync_velocity_rad_s = 0.1F;            ///< ... and this near in velocity
   float offset_decay_1_s = 20.0F;                ///< how fast the remaining difference is removed

@@ -311,6 +311,9 @@ void Module::offer_knot(const Knot& knot, Duration period) noexcept {
       ++od_.count_stale_knots;
       break;
     case KnotVerdict::out_of_limits:
+      ++status_.knots_rejected;
+      if (reference_.following()) stop_at_limit(LimitCode::knot_rejected);
+      break;
     case KnotVerdict::jump:
       ++status_.knots_rejected;
       hold_reason_ = LimitCode::knot_rejected;
@@ -686,6 +689,7 @@ void Module::watch_motion(Time now) noexcept {
     LimitCode ended = LimitCode::none;
     if (now - passive_since_ >= config_.passive.max_time) ended = LimitCode::passive_time;
     if (!(absolute(q - passive_from_rad_) <= config_.passive.max_travel_rad)) ended = LimitCode::passive_travel;
+    if (!(absolute(sensing_.velocity_rad_s()) <= l.velocity_rad_s)) ended = LimitCode::velocity;
     if (above) ended = LimitCode::position_upper;
     if (below) ended = LimitCode::position_lower;
     if (sensing_.input(kInputNegativeLimit) || sensing_.input(kInputPositiveLimit)) ended = LimitCode::limit_switch;

@@ -12,7 +12,7 @@ ActiveLaw::ActiveLaw(const ControlConfig& control, const FrictionConfig& frictio
 ActiveLawOutput ActiveLaw::step(float error_rad, float velocity_rad_s, const MotionState& reference,
                                 float load_torque_nm, bool learn) noexcept {
   const float velocity_error = velocity_rad_s - reference.velocity_rad_s;
-  const float s = motion_direction(velocity_rad_s, reference.velocity_rad_s, control_.still_velocity_rad_s);
+  const float s = motion_direction(velocity_rad_s, reference.velocity_rad_s, control_);
   const FrictionRegressor Y = friction_regressor(friction_, velocity_rad_s, s);
 
   ActiveLawOutput out;

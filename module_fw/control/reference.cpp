@@ -49,9 +49,16 @@ void Reference::shift(float by_rad) noexcept {
 
 bool Reference::within_limits(const MotionState& s) const noexcept {
   // A twentieth over velocity and acceleration is rounding and interpolation; the planner keeps the limits themselves.
-  return s.position_rad >= limits_.lower_rad && s.position_rad <= limits_.upper_rad &&
-         absolute(s.velocity_rad_s) <= 1.05F * limits_.velocity_rad_s &&
-         absolute(s.acceleration_rad_s2) <= 1.05F * limits_.acceleration_rad_s2;
+  const float v_max = 1.05F * limits_.velocity_rad_s;
+  const float a_max = 1.05F * limits_.acceleration_rad_s2;
+  if (!(absolute(s.velocity_rad_s) <= v_max && absolute(s.acceleration_rad_s2) <= a_max)) return false;
+  // Where the joint could still stop must be within its range. A joint that stands beyond it may be led back.
+  const float stop = s.position_rad + 0.5F * s.velocity_rad_s * absolute(s.velocity_rad_s) / a_max;
+  const float slack = 1e-4F;
+  const float lower = state_.position_rad < limits_.lower_rad ? state_.position_rad : limits_.lower_rad;
+  const float upper = state_.position_rad > limits_.upper_rad ? state_.position_rad : limits_.upper_rad;
+  return s.position_rad >= lower - slack && s.position_rad <= upper + slack && stop >= lower - slack &&
+         stop <= upper + slack;
 }
 
 KnotVerdict Reference::offer(const Knot& knot, Time sync, Duration period) noexcept {
