@@ -13,7 +13,7 @@ void wire_bits(benchmark::State& state) {
   can::Frame frame;
   frame.length = 8;
   std::uint32_t i = 0;
-  for (auto _ : state) {
+  while (state.KeepRunning()) {
     frame.id = ++i & 0x7FFU;
     frame.data[3] = static_cast<std::uint8_t>(i);
     benchmark::DoNotOptimize(can::wire_bits(frame));
@@ -25,7 +25,7 @@ BENCHMARK(wire_bits);
 void simulated_second(benchmark::State& state) {
   const auto joints = static_cast<int>(state.range(0));
   std::int64_t frames = 0;
-  for (auto _ : state) {
+  while (state.KeepRunning()) {
     sim::Bus bus({.ports = joints + 1, .queue_capacity = 64});
     for (int tick = 0; tick < 1000; ++tick) {
       const Time now = Time{} + milliseconds(1) * tick;

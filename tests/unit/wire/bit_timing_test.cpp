@@ -191,7 +191,7 @@ TEST(BitTimingProperty, ClassicFramesDecodeAndTheirCrcClosesToZero) {
     Frame frame = test::random_frame(random);
     if (frame.fd) continue;
     const int payload = frame.remote ? 0 : 8 * frame.length;
-    const std::size_t region = static_cast<std::size_t>((frame.extended ? 54 : 34) + payload);
+    const std::size_t region = (frame.extended ? 54U : 34U) + static_cast<std::size_t>(payload);
     const std::string plain = unstuffed(text(encode(frame)), region);
     ASSERT_EQ(plain.size(), region);
     unsigned crc = 0;
