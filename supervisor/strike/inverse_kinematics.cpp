@@ -16,6 +16,7 @@ namespace {
 
 constexpr double kPositionTolerance = 1e-7;  // m
 constexpr double kMetresPerRadian = 0.3;     // what a radian of tilt counts against a metre
+constexpr double kLimitMargin = 0.02;        // rad: a struck pose keeps away from its stops by this
 constexpr int kIterations = 120;
 
 using Residual = Eigen::Matrix<double, 6, 1>;
@@ -129,24 +130,26 @@ JointVector descend(const Problem& problem, JointVector q, const Weights& weight
   return q;
 }
 
-/// From a start to a solution: tilt first counts in full, then only beyond what is allowed, at last not at all. (An arm
-/// with few joints cannot meet position and tilt both; position is what must be exact.)
-FaceSolution search(const Problem& problem, const JointVector& start) {
-  const double allowed = problem.target.max_tilt_rad;
-  const bool five_dimensional = start.size() >= 5;
-  JointVector q =
-      descend(problem, problem.clamped(start), {1.0, 1.0, five_dimensional ? 1.0 : 0.3, 0.0}, kIterations / 2);
-  q = descend(problem, q, {1.0, 1.0, 1.0, 0.8 * allowed}, kIterations / 2);
-  q = descend(problem, q, {1.0, 1.0, 0.0, 0.0}, kIterations);
-  FaceSolution found = problem.assess(q);
-  const bool exact =
-      std::abs(found.normal_error_m) <= kPositionTolerance && found.lateral_error_m <= kPositionTolerance;
-  if (exact || !(problem.target.max_lateral_m > 0.0)) return found;
-  // Out of reach by a little: exact along the normal, as near as it gets sideways.
+bool on_point(const FaceSolution& s) {
+  return std::abs(s.normal_error_m) <= kPositionTolerance && s.lateral_error_m <= kPositionTolerance;
+}
+
+/// Position alone, exact if it can be; else exact along the normal and as near as it gets sideways.
+FaceSolution finish(const Problem& problem, const JointVector& start) {
+  JointVector q = descend(problem, start, {1.0, 1.0, 0.0, 0.0}, kIterations);
+  const FaceSolution found = problem.assess(q);
+  if (on_point(found) || !(problem.target.max_lateral_m > 0.0)) return found;
   q = descend(problem, q, {100.0, 1.0, 0.0, 0.0}, kIterations);
   q = descend(problem, q, {1.0, 0.0, 0.0, 0.0}, kIterations);
   const FaceSolution off_centre = problem.assess(q);
   return off_centre.lateral_error_m <= problem.target.max_lateral_m ? off_centre : found;
+}
+
+/// From a start to a solution: tilt first counts in full, then only beyond what is allowed, at last not at all.
+FaceSolution search(const Problem& problem, const JointVector& start) {
+  JointVector q = descend(problem, problem.clamped(start), {1.0, 1.0, 1.0, 0.0}, kIterations / 2);
+  q = descend(problem, q, {1.0, 1.0, 1.0, 0.8 * problem.target.max_tilt_rad}, kIterations / 2);
+  return finish(problem, q);
 }
 
 bool accepted(const FaceTarget& target, const FaceSolution& s) {
@@ -220,20 +223,28 @@ IkResult solve_face_on_point(const RobotDescription& robot, const Chain& chain, 
   const int n = chain.dof();
   Problem problem{chain, target, JointVector(n), JointVector(n)};
   for (int i = 0; i < n; ++i) {
-    problem.lower[i] = robot.joints[static_cast<std::size_t>(i)].limits.lower_rad;
-    problem.upper[i] = robot.joints[static_cast<std::size_t>(i)].limits.upper_rad;
+    const JointLimits& limits = robot.joints[static_cast<std::size_t>(i)].limits;
+    const double margin = std::min(kLimitMargin, 0.25 * (limits.upper_rad - limits.lower_rad));
+    problem.lower[i] = limits.lower_rad + margin;
+    problem.upper[i] = limits.upper_rad - margin;
   }
   const bool redundant = n > 5;
   Collection collection(problem, options, redundant ? options.distinct_rad : options.same_rad);
   Random random(options.seed);
 
-  collection.enter(search(problem, near));
-  collection.enter(search(problem, JointVector::Zero(n)));
-  collection.enter(search(problem, 0.5 * (problem.lower + problem.upper)));
+  const auto try_from = [&](const JointVector& start) {
+    collection.enter(search(problem, start));
+    // An arm with few joints has to take the tilt it gets, and looking at tilt draws it to the stretched pose between
+    // two solutions: look for them without.
+    if (n < 5) collection.enter(finish(problem, problem.clamped(start)));
+  };
+  try_from(near);
+  try_from(JointVector::Zero(n));
+  try_from(0.5 * (problem.lower + problem.upper));
   for (int k = 0; k < options.starts && !collection.full(); ++k) {
     JointVector start(n);
     for (int i = 0; i < n; ++i) start[i] = random.uniform(problem.lower[i], problem.upper[i]);
-    collection.enter(search(problem, start));
+    try_from(start);
   }
 
   // A redundant arm moves on along its null space from everything found so far.
@@ -262,9 +273,8 @@ IkResult solve_face_on_point(const RobotDescription& robot, const Chain& chain, 
     return distance(a.q, near) < distance(b.q, near);
   });
   // Struck off centre only if the centre itself is out of reach.
-  const auto on_centre = [](const FaceSolution& s) { return s.lateral_error_m <= kPositionTolerance; };
-  if (std::any_of(result.solutions.begin(), result.solutions.end(), on_centre)) {
-    std::erase_if(result.solutions, [&](const FaceSolution& s) { return !on_centre(s); });
+  if (std::any_of(result.solutions.begin(), result.solutions.end(), on_point)) {
+    std::erase_if(result.solutions, [](const FaceSolution& s) { return !on_point(s); });
   } else if (!result.solutions.empty()) {
     double least = result.solutions.front().lateral_error_m;
     for (const FaceSolution& s : result.solutions) least = std::min(least, s.lateral_error_m);

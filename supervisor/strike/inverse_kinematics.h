@@ -43,9 +43,9 @@ struct IkResult {
   std::string why;                      ///< if unreachable: one sentence that says how far off, mm and degrees
 };
 
-/// Solutions within joint limits, exact to 1e-7 m. The task has 5 dimensions: arms with fewer joints meet the position
-/// and take the tilt they get; arms with more have a null space, which is sampled.
-/// `near`: present pose; first start and order of the result.
+/// Solutions within joint limits less 0.02 rad, exact to 1e-7 m. The task has 5 dimensions: arms with fewer joints meet
+/// the position and take the tilt they get; arms with more have a null space, which is sampled. `near`: present pose;
+/// first start and order of the result.
 [[nodiscard]] IkResult solve_face_on_point(const RobotDescription& robot, const Chain& chain, const FaceTarget& target,
                                            const JointVector& near, const IkOptions& options = {});
 

@@ -83,6 +83,7 @@ class Planner {
   std::optional<std::string> build_stop(const Blow& blow, StrikePlan& plan, Duration& stop) const;
   std::optional<std::string> build_swing(const Blow& blow, StrikePlan& plan, Duration stop, double travel) const;
   std::optional<std::string> build_approach(StrikePlan& plan) const;
+  [[nodiscard]] bool below_board(const ChainPose& pose) const;
   [[nodiscard]] bool collides(const JointTrajectory& trajectory, Duration until) const;
   [[nodiscard]] double depth(const JointVector& q) const;
   void time_the_switch(const Blow& blow, StrikePlan& plan) const;
@@ -241,6 +242,10 @@ double Planner::measure_of(const Blow& blow) const {
 
 /// Velocity, selection and measure of a pose; slows down until the gears stand it.
 void Planner::weigh(Blow& blow) const {
+  if (below_board(chain_.pose(blow.pose.q))) {
+    blow.why = "a link would be inside the board in this pose";
+    return;
+  }
   const Jacobian J_h = chain_.jacobian(blow.pose.q);
   const JointVector limit = impact_speed_limits();
   const JointVector unit = unit_strike_velocity(J_h, request_.normal, limit);
@@ -290,18 +295,37 @@ double Planner::depth(const JointVector& q) const {
   return request_.normal.dot(request_.head_position_m - chain_.face_pose(q).position_m);
 }
 
-/// Whether the face meets nail or board before `until`. A motion that begins in contact may leave it.
+/// Whether a link is below the board's surface where the board is: points on the lines from joint to joint to face.
+bool Planner::below_board(const ChainPose& pose) const {
+  constexpr int kPoints = 8;
+  const auto below = [&](const Eigen::Vector3d& point) {
+    const Eigen::Vector3d off = point - request_.head_position_m;
+    const double height = request_.normal.dot(off);
+    return height < -request_.board_distance_m - 1e-3 && (off - request_.normal * height).norm() < kBoardRadiusM;
+  };
+  for (int i = 0; i < dof(); ++i) {
+    const Eigen::Vector3d& from = pose.link[at(i)].position_m;
+    const Eigen::Vector3d& to = i + 1 < dof() ? pose.link[at(i + 1)].position_m : pose.face.position_m;
+    for (int k = 0; k < kPoints; ++k) {  // the end is the next link's beginning; the face is looked at on its own
+      if (below(from + (to - from) * (static_cast<double>(k) / kPoints))) return true;
+    }
+  }
+  return false;
+}
+
+/// Whether the face meets nail or board, or a link the board, before `until`. A motion that begins so may leave it.
 bool Planner::collides(const JointTrajectory& trajectory, Duration until) const {
   JointMotion motion;
   bool was_clear = false;
   for (Duration t; t < until; t += grid_) {
     trajectory.sample(t, motion);
-    const Eigen::Vector3d off = chain_.face_pose(motion.q).position_m - request_.head_position_m;
+    const ChainPose pose = chain_.pose(motion.q);
+    const Eigen::Vector3d off = pose.face.position_m - request_.head_position_m;
     const double height = request_.normal.dot(off);
     const double beside = (off - request_.normal * height).norm();
     const bool nail = height < -1e-5 && beside < robot_.hammer.face_radius_m + kNailClearanceM;
     const bool board = height < -request_.board_distance_m - 1e-5 && beside < kBoardRadiusM;
-    const bool clear = !nail && !board;
+    const bool clear = !nail && !board && !below_board(pose);
     if (was_clear && !clear) return true;
     was_clear = was_clear || clear;
   }

@@ -135,16 +135,16 @@ std::string describe(const LimitCheck& check, const RobotDescription& robot) {
     case LimitKind::none:
       return "all limits respected";
     case LimitKind::position:
-      return fmt::format("joint {} would go to {:.3f} rad, limit {:.3f} rad", name, check.value, check.limit);
+      return fmt::format("{} would go to {:.3f} rad, limit {:.3f} rad", name, check.value, check.limit);
     case LimitKind::velocity:
-      return fmt::format("joint {} would need {:.3f} rad/s, limit {:.3f} rad/s", name, check.value, check.limit);
+      return fmt::format("{} would need {:.3f} rad/s, limit {:.3f} rad/s", name, check.value, check.limit);
     case LimitKind::acceleration:
-      return fmt::format("joint {} would need {:.2f} rad/s^2, limit {:.2f} rad/s^2", name, check.value, check.limit);
+      return fmt::format("{} would need {:.2f} rad/s^2, limit {:.2f} rad/s^2", name, check.value, check.limit);
     case LimitKind::torque:
-      return fmt::format("the drive of joint {} would need {:.2f} Nm, limit {:.2f} Nm", name, std::abs(check.value),
+      return fmt::format("the drive of {} would need {:.2f} Nm, limit {:.2f} Nm", name, std::abs(check.value),
                          check.limit);
     case LimitKind::transmission:
-      return fmt::format("the gear of joint {} would carry {:.2f} Nm, limit {:.2f} Nm", name, std::abs(check.value),
+      return fmt::format("the gear of {} would carry {:.2f} Nm, limit {:.2f} Nm", name, std::abs(check.value),
                          check.limit);
   }
   return {};

@@ -91,7 +91,7 @@ struct LimitCheck {
   double limit = 0.0;
   [[nodiscard]] bool ok() const noexcept { return worst == LimitKind::none; }
 };
-/// "joint 2 would need 48.1 Nm, limit 40.5 Nm"
+/// "the drive of joint_2 would need 48.10 Nm, limit 40.50 Nm"
 [[nodiscard]] std::string describe(const LimitCheck& check, const RobotDescription& robot);
 
 /// Torques of a motion by inverse dynamics: `transmission` = M q'' + h (9), `drive` = that + B q'' + tau_f (10).
