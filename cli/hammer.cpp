@@ -13,6 +13,7 @@
 #include "cli/files.h"
 #include "cli/json.h"
 #include "cli/print.h"
+#include "cli/reference.h"
 #include "common/robot/errors.h"
 #include "sim_vcan/world/hammer_job.h"
 
@@ -32,6 +33,7 @@ struct HammerArguments {
   int swings = 0;
   sup::PassiveMode mode = sup::PassiveMode::planned;
   bool as_printed = false;
+  bool experiment = false;
   bool json = false;
   bool no_report = false;
 };
@@ -48,7 +50,44 @@ bool make_report(const fs::path& out) {
   return waitpid(child, &status, 0) == child && WIFEXITED(status) && WEXITSTATUS(status) == 0;
 }
 
+/// Makes the folder for the files; throws DescriptionError.
+fs::path make_folder(const std::string& name) {
+  std::error_code error;
+  fs::create_directories(name, error);
+  if (error) throw DescriptionError(fmt::format("{}: cannot be made: {}", name, error.message()));
+  return name;
+}
+
+/// The reference's experiment with the whole robot, published figures beside simulated ones.
+int run_published_experiment(const HammerArguments& arguments) {
+  const RobotDescription robot = load_robot(find_robot(arguments.robot));
+  const sim::Experiment experiment = sim::load_experiment(robot);
+  ProgressBar bar;
+  const auto series = sim::run_experiment(
+      robot, experiment,
+      [](const RobotDescription& changed, const std::string& board) {
+        return sim::load_plant(changed, find_board(board));
+      },
+      arguments.seed,
+      [&bar](int done, int of) { bar.update(fmt::format("swing {} of {}", done, of), 1.0 * done / of); });
+  bar.clear();
+  nlohmann::ordered_json json = {{"schema_version", 1},
+                                 {"robot", robot.name},
+                                 {"seed", arguments.seed},
+                                 {"reproduced", experiment_reproduced(series)},
+                                 {"series", experiment_json(series)}};
+  const fs::path out = make_folder(arguments.out);
+  write_whole(out / "experiment.json", [&](std::ostream& file) { file << json.dump(2) << '\n'; });
+  if (arguments.json) {
+    fmt::print("{}\n", json.dump(2));
+  } else {
+    fmt::print("MRR: the reference's hammering experiment, {}\n\n{}", robot.name, experiment_text(series));
+  }
+  return experiment_reproduced(series) ? kExitDone : kExitNotDone;
+}
+
 int run(const HammerArguments& arguments) {
+  if (arguments.experiment) return run_published_experiment(arguments);
   const RobotDescription robot = load_robot(find_robot(arguments.robot));
   const sim::PlantDescription plant = sim::load_plant(robot, find_board(arguments.board));
 
@@ -62,11 +101,13 @@ int run(const HammerArguments& arguments) {
   std::ostringstream bus_log;
   sim::CandumpWriter frames(bus_log, robot.bus.interface);
   sim::Telemetry telemetry(robot);
-  ProgressBar bar(robot.task.nail_height_m * 1e3);
+  ProgressBar bar;
   const auto began = std::chrono::steady_clock::now();
   const sim::HammerJobResult result = sim::run_hammer_job(
-      robot, plant, options, &frames, &telemetry,
-      [&bar](double simulated_s, int swings, double height_m) { bar.update(simulated_s, swings, height_m * 1e3); });
+      robot, plant, options, &frames, &telemetry, [&](double simulated_s, int swings, double height_m) {
+        bar.update(fmt::format("nail {:4.1f} mm, swing {}, {:4.1f} s", height_m * 1e3, swings + 1, simulated_s),
+                   1.0 - height_m / robot.task.nail_height_m);
+      });
   const double wall_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - began).count();
   const double realtime_factor = result.simulated_s / wall_s;
   bar.clear();
@@ -74,11 +115,9 @@ int run(const HammerArguments& arguments) {
   // Nothing was ever hit, so there is nothing to report: the reason is all there is.
   if (result.swings.empty()) throw PlanError(result.reason);
 
-  const nlohmann::ordered_json json = result_json(robot, result, realtime_factor);
-  const fs::path out = arguments.out;
-  std::error_code error;
-  fs::create_directories(out, error);
-  if (error) throw DescriptionError(fmt::format("{}: cannot be made: {}", out.string(), error.message()));
+  const nlohmann::ordered_json json = result_json(
+      robot, {arguments.board, arguments.seed, arguments.mode, options.session.formulation}, result, realtime_factor);
+  const fs::path out = make_folder(arguments.out);
   write_whole(out / "bus.log", [&](std::ostream& file) { file << bus_log.view(); });
   write_whole(out / "telemetry.csv", [&](std::ostream& file) { telemetry.write_csv(file); });
   write_whole(out / "result.json", [&](std::ostream& file) { file << json.dump(2) << '\n'; });
@@ -88,6 +127,7 @@ int run(const HammerArguments& arguments) {
     fmt::print("{}\n", json.dump(2));
   } else {
     fmt::print("MRR: {} on {}, seed {}\n\n", robot.name, arguments.board, arguments.seed);
+    if (arguments.as_printed) fmt::print("{}\n", tables_text(tables));
     fmt::print("{}\n{}", plan_text(robot, result.swings.front().plan), swing_header());
     for (std::size_t k = 0; k < result.swings.size(); ++k) {
       fmt::print("{}", swing_text(robot, result.swings[k], result.truth[k]));
@@ -122,6 +162,9 @@ void add_hammer_command(CLI::App& app, int& status) {
       ->default_str("planned");
   command->add_flag("--as-printed", arguments->as_printed,
                     "Evaluate the reference's equations as printed, slips included, and show its tables");
+  command->add_flag(
+      "--experiment", arguments->experiment,
+      "Repeat the reference's published hammering experiment and compare; --board and --mode do not apply");
   command->add_flag("--json", arguments->json, "Print one JSON object (docs/result.schema.json) and nothing else");
   command->add_flag("--no-report", arguments->no_report, "Do not make report.html");
   command->callback([arguments, &status] { status = run(*arguments); });

@@ -18,6 +18,42 @@ Json list(const Vector& values) {
   return array;
 }
 
+Json frame(const FrameOffset& offset) {
+  Json rows = Json::array();
+  for (int row = 0; row < 3; ++row) rows.push_back(list(Eigen::Vector3d(offset.rotation.row(row))));
+  return {{"rotation", rows}, {"translation_m", list(offset.translation_m)}};
+}
+
+/// What a drawing of the arm needs: the chain, the face, the nail.
+Json geometry_json(const RobotDescription& robot) {
+  Json joints = Json::array();
+  for (const JointDescription& joint : robot.joints) {
+    Json entry = frame(joint.offset);
+    entry["name"] = joint.name;
+    entry["axis"] = list(joint.axis);
+    joints.push_back(entry);
+  }
+  return {{"joints", joints},
+          {"face", frame(robot.hammer.face)},
+          {"face_radius_mm", number(robot.hammer.face_radius_m * 1e3)},
+          {"nail_position_m", list(robot.task.nail_position_m)},
+          {"nail_normal", list(robot.task.normal)},
+          {"nail_height_mm", number(robot.task.nail_height_m * 1e3)},
+          {"flush_tolerance_mm", number(robot.task.flush_tolerance_m * 1e3)}};
+}
+
+const char* mode_name(sup::PassiveMode mode) {
+  switch (mode) {
+    case sup::PassiveMode::planned:
+      return "planned";
+    case sup::PassiveMode::never:
+      return "never";
+    case sup::PassiveMode::always:
+      return "always";
+  }
+  return "unknown";
+}
+
 Json plan_json(const RobotDescription& robot, const sup::StrikePlan& plan) {
   Json joints = Json::array();
   for (std::size_t i = 0; i < robot.joints.size(); ++i) {
@@ -109,13 +145,18 @@ Json swing_json(const RobotDescription& robot, const sup::SwingReport& swing, co
 
 }  // namespace
 
-Json result_json(const RobotDescription& robot, const sim::HammerJobResult& result, double realtime_factor) {
+Json result_json(const RobotDescription& robot, const RunLabel& label, const sim::HammerJobResult& result,
+                 double realtime_factor) {
   Json swings = Json::array();
   for (std::size_t k = 0; k < result.swings.size(); ++k) {
     swings.push_back(swing_json(robot, result.swings[k], result.truth[k]));
   }
   return {{"schema_version", 1},
           {"robot", robot.name},
+          {"board", label.board},
+          {"seed", label.seed},
+          {"mode", mode_name(label.mode)},
+          {"formulation", label.formulation == sup::Formulation::as_printed ? "as_printed" : "corrected"},
           {"flush", result.really_flush},
           {"success", result.success()},
           {"verdict", sup::describe(result.verdict)},
@@ -127,6 +168,7 @@ Json result_json(const RobotDescription& robot, const sim::HammerJobResult& resu
           {"realtime_factor", number(realtime_factor)},
           {"bus_load", number(result.bus_load)},
           {"bus_load_worst_case", number(result.bus_load_worst_case)},
+          {"geometry", geometry_json(robot)},
           {"plan", result.swings.empty() ? Json(nullptr) : plan_json(robot, result.swings.front().plan)},
           {"swings", swings}};
 }

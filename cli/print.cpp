@@ -121,19 +121,15 @@ std::string verdict_text(const RobotDescription& robot, const sim::HammerJobResu
   return text;
 }
 
-ProgressBar::ProgressBar(double from_mm) : from_mm_(from_mm), terminal_(isatty(STDERR_FILENO) == 1) {}
+ProgressBar::ProgressBar() : terminal_(isatty(STDERR_FILENO) == 1) {}
 
 ProgressBar::~ProgressBar() { clear(); }
 
-void ProgressBar::update(double simulated_s, int swings, double nail_height_mm) {
+void ProgressBar::update(const std::string& what, double done) {
   if (!terminal_) return;
-  constexpr int kCells = 30;
-  const double done = from_mm_ > 0.0 ? std::clamp(1.0 - nail_height_mm / from_mm_, 0.0, 1.0) : 1.0;
-  const int filled = static_cast<int>(done * kCells);
-  fmt::print(stderr, "\r[{}{}] nail {:4.1f} mm, {} swing{} done, {:5.1f} s ",
-             std::string(static_cast<std::size_t>(filled), '#'),
-             std::string(static_cast<std::size_t>(kCells - filled), '.'), nail_height_mm, swings,
-             swings == 1 ? "" : "s", simulated_s);
+  constexpr std::size_t kCells = 30;
+  const auto filled = static_cast<std::size_t>(std::clamp(done, 0.0, 1.0) * kCells);
+  fmt::print(stderr, "\r[{}{}] {:<46}", std::string(filled, '#'), std::string(kCells - filled, '.'), what);
   std::fflush(stderr);
   drawn_ = true;
 }

@@ -17,16 +17,15 @@ std::string verdict_text(const RobotDescription& robot, const sim::HammerJobResu
 /// A line that is redrawn on a terminal, and nothing at all in a pipe.
 class ProgressBar {
  public:
-  /// `from_mm`: the nail's height that counts as nothing done.
-  explicit ProgressBar(double from_mm);
+  ProgressBar();
   ~ProgressBar();
   ProgressBar(const ProgressBar&) = delete;
   ProgressBar& operator=(const ProgressBar&) = delete;
-  void update(double simulated_s, int swings, double nail_height_mm);
+  /// `done`: share, 0 .. 1.
+  void update(const std::string& what, double done);
   void clear();
 
  private:
-  double from_mm_;
   bool terminal_;
   bool drawn_ = false;
 };
