@@ -346,11 +346,11 @@ UrdfChain read_urdf_chain(const std::filesystem::path& file) {
     }
     chain.joints.push_back(joint);
   }
-  if (chain.joints.empty()) document.fail(0, "there is no revolute joint; a robot has at least one");
   for (const auto& [name, link] : model->links_) {
     if (!chain.links.contains(name))
       document.fail_link(name, "is not connected to the root link; connect or remove it");
   }
+  if (chain.joints.empty()) document.fail(0, "there is no revolute joint; a robot has at least one");
   return chain;
 }
 
