@@ -115,8 +115,13 @@ int run(const HammerArguments& arguments) {
   // Nothing was ever hit, so there is nothing to report: the reason is all there is.
   if (result.swings.empty()) throw PlanError(result.reason);
 
-  const nlohmann::ordered_json json = result_json(
+  nlohmann::ordered_json json = result_json(
       robot, {arguments.board, arguments.seed, arguments.mode, options.session.formulation}, result, realtime_factor);
+  std::vector<ReproducedFigure> tables;
+  if (arguments.as_printed) {
+    tables = reproduce_tables(load_robot(find_robot("robots/mrr3")));
+    json["tables"] = tables_json(tables);
+  }
   const fs::path out = make_folder(arguments.out);
   write_whole(out / "bus.log", [&](std::ostream& file) { file << bus_log.view(); });
   write_whole(out / "telemetry.csv", [&](std::ostream& file) { telemetry.write_csv(file); });
