@@ -112,6 +112,16 @@ TEST_F(SdoTest, abort_codes_of_wrong_lengths) {
   EXPECT_TRUE(app.writes.empty());
 }
 
+TEST_F(SdoTest, a_download_without_announced_size_ends_where_the_object_does) {
+  sdo({0x20, 0x04, 0x20, 0});
+  for (const int toggle : {0x00, 0x10, 0x00, 0x10}) {
+    EXPECT_EQ(sdo({toggle, 'a', 'b', 'c', 'd', 'e', 'f', 'g'})[0], 0x20 | toggle);
+  }
+  const auto a = sdo({0x00, 'a', 'b', 'c', 'd', 'e', 'f', 'g'});  // 35 bytes into 32
+  EXPECT_EQ(get<std::uint32_t>(a.data() + 4), 0x06070012U);
+  EXPECT_STREQ(od.module_name.data(), "");
+}
+
 TEST_F(SdoTest, expedited_download_without_a_size_takes_the_objects_own) {
   EXPECT_EQ(sdo({0x22, 0x40, 0x60, 0, 0x0F, 0x00, 0xEE, 0xEE})[0], 0x60);
   EXPECT_EQ(od.controlword, 0x000F);
