@@ -13,6 +13,7 @@ constexpr Duration kSensorStart = milliseconds(1000);  // by then every sensor m
 constexpr std::uint8_t kOverSpeedTicks = 5;
 constexpr float kOverSpeedShare = 1.5F;         // of the joint's limit
 constexpr float kPositionSlack = 0.01F;         // rad beyond a soft limit before the joint is stopped for it
+constexpr float kStill = 1e-3F;                 // rad/s: slower is not moving towards a limit
 constexpr float kConfirmShare = 0.05F;          // of full-scale current: agreement that confirms torque
 constexpr float kMaxCompensationShare = 0.95F;  // of the Coulomb friction: the passive law must not drive
 constexpr std::uint32_t kNotWatched = 0xFFFF'FFFFU;
@@ -575,71 +576,84 @@ PassiveLaw::Evidence Module::evidence() const noexcept {
   return {sensing_.velocity_rad_s(), sensing_.joint_torque_nm().valid, sensing_.joint_torque_nm().value, 0.0F};
 }
 
-// Who leads, and what changes when that changes; then the law asked for by selection or mode.
+// Modes. -1 is a change of law within mode 8; it needs an edge, so that enabling never drops the arm.
+void Module::follow_mode(Time now) noexcept {
+  const std::int8_t requested = od_.modes_of_operation;
+  if (requested == last_requested_mode_ && mode_ != Mode::none) return;
+  const std::int8_t previous = last_requested_mode_;
+  last_requested_mode_ = requested;
+  constexpr auto kPassiveMode = static_cast<std::int8_t>(Mode::passive);
+  if (requested == kPassiveMode) {
+    if (previous != kPassiveMode && may_change_law() && !passive()) go_passive(now);
+    if (mode_ == Mode::none || mode_ == Mode::homing) mode_ = Mode::cyclic_position;
+    return;
+  }
+  if (previous == kPassiveMode && passive()) go_active();
+  const auto mode = static_cast<Mode>(requested);
+  if (mode == mode_) return;
+  if (selector_.law() != Law::off) go_active();
+  homing_.abort();
+  limit_stop_ = false;
+  mode_ = mode;
+}
+
+// Who leads; what changes when that changes; the law that is due.
 void Module::lead(Time now) noexcept {
+  follow_mode(now);
   const Authority before = authority_;
+  if (limit_stop_ && mode_ != Mode::cyclic_torque && reference_.at_rest()) limit_stop_ = false;
   authority_ = arbitrate();
-  if (authority_ != before) {
-    switch (authority_) {
-      case Authority::fault_reaction:
-        stop_and_hold(config_.reference.quick_stop_deceleration_rad_s2);
-        break;
-      case Authority::user_stop:
-        selection_.disarm();
+  switch (authority_) {
+    case Authority::fault_reaction:
+      if (authority_ != before) stop_and_hold(config_.reference.quick_stop_deceleration_rad_s2);
+      break;
+    case Authority::limit:
+      // A switch that is armed comes into force though the set points have stopped: it is the safe side before a blow.
+      if (hold_reason_ == LimitCode::knots_lost) carry_out_selection(now);
+      break;
+    case Authority::user_stop:
+      selection_.disarm();
+      if (authority_ != before) {
         hold_reason_ = LimitCode::halt;
         stop_and_hold(config_.reference.quick_stop_deceleration_rad_s2);
-        break;
-      case Authority::limit:
-      case Authority::calibration:
-      case Authority::homing:
-        break;
-      case Authority::motion:
+      }
+      break;
+    case Authority::calibration:
+      break;
+    case Authority::homing:
+      run_homing(now);
+      break;
+    case Authority::motion:
+      if (authority_ != before) {
         if (hold_reason_ == LimitCode::halt) hold_reason_ = LimitCode::none;
         if (mode_ == Mode::cyclic_torque) selector_.go_active();
-        break;
-      case Authority::none:
-        selector_.off();
-        selection_.disarm();
-        break;
-    }
-  }
-
-  // Modes. -1 is a change of law within mode 8; it needs an edge, so that enabling never drops the arm.
-  const std::int8_t requested = od_.modes_of_operation;
-  if (requested != last_requested_mode_ || mode_ == Mode::none) {
-    const bool enabled = machine_.state() == DriveState::operation_enabled && brake_.motion_allowed();
-    if (requested == static_cast<std::int8_t>(Mode::passive)) {
-      if (enabled && requested != last_requested_mode_ && may_change_law() && !passive()) go_passive(now);
-      if (mode_ == Mode::none || mode_ == Mode::homing) mode_ = Mode::cyclic_position;
-    } else {
-      if (last_requested_mode_ == static_cast<std::int8_t>(Mode::passive) && passive()) go_active();
-      const auto mode = static_cast<Mode>(requested);
-      if (mode != mode_ && brake_.phase() != BrakeSequence::Phase::off && selector_.law() != Law::off) {
-        go_active();
-        homing_.abort();
       }
-      limit_stop_ = false;
-      mode_ = mode;
-    }
-    last_requested_mode_ = requested;
+      carry_out_selection(now);
+      break;
+    case Authority::none:
+      selector_.off();
+      selection_.disarm();
+      break;
   }
-  if (authority_ == Authority::motion) {
-    if (const std::optional<bool> to_active = selection_.due(now)) {
-      if (*to_active && passive()) {
-        go_active();
-        status_.selection_executed_at = now;
-        ++od_.count_selections;
-      } else if (!*to_active && !passive() && may_change_law()) {
-        go_passive(now);
-      }
-    }
-  }
-  if (authority_ == Authority::homing) {
-    run_homing(now);
-  } else if (homing_.running()) {
+  if (authority_ != Authority::homing && homing_.running()) {
     homing_.abort();
+    reference_.stop(config_.reference.stop_deceleration_rad_s2);
   }
   watch_motion(now);
+}
+
+void Module::carry_out_selection(Time now) noexcept {
+  const std::optional<bool> to_active = selection_.due(now);
+  if (!to_active) return;
+  if (*to_active && passive()) {
+    go_active();
+    status_.selection_executed_at = now;
+    ++od_.count_selections;
+  } else if (!*to_active && !passive() && machine_.state() == DriveState::operation_enabled &&
+             mode_ == Mode::cyclic_position && brake_.motion_allowed()) {
+    go_passive(now);
+    limit_stop_ = false;
+  }
 }
 
 void Module::run_homing(Time now) noexcept {
@@ -703,10 +717,11 @@ void Module::watch_motion(Time now) noexcept {
   const MotionState& r = reference_.state();
   const bool torque = torque_mode();
   const float direction = torque ? sensing_.velocity_rad_s() : r.velocity_rad_s;
-  if (above && direction > 0.0F) stop_at_limit(LimitCode::position_upper);
-  if (below && direction < 0.0F) stop_at_limit(LimitCode::position_lower);
-  if ((sensing_.input(kInputPositiveLimit) && direction > 0.0F) ||
-      (sensing_.input(kInputNegativeLimit) && direction < 0.0F)) {
+  const bool up = direction > kStill;
+  const bool down = direction < -kStill;
+  if (above && up) stop_at_limit(LimitCode::position_upper);
+  if (below && down) stop_at_limit(LimitCode::position_lower);
+  if ((sensing_.input(kInputPositiveLimit) && up) || (sensing_.input(kInputNegativeLimit) && down)) {
     stop_at_limit(LimitCode::limit_switch);
   }
   // The set-point watchdog: the last knot has been continued for as long as it may be.

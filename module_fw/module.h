@@ -67,6 +67,8 @@ class Module final : private can::NodeApplication {
   void watch(Time now) noexcept;
   void decide_state(Time now) noexcept;
   void lead(Time now) noexcept;
+  void follow_mode(Time now) noexcept;
+  void carry_out_selection(Time now) noexcept;
   void run_homing(Time now) noexcept;
   void watch_motion(Time now) noexcept;
   [[nodiscard]] float control_torque(Time now) noexcept;

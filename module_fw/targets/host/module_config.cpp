@@ -18,7 +18,7 @@ class Hash {
  public:
   Hash& add(std::uint64_t bits) {
     for (int i = 0; i < 8; ++i) {
-      state_ = (state_ ^ (bits >> (8 * i) & 0xFFU)) * 16777619U;
+      state_ = (state_ ^ static_cast<std::uint32_t>(bits >> (8 * i) & 0xFFU)) * 16777619U;
     }
     return *this;
   }
