@@ -354,10 +354,13 @@ void Plant::World::substep(double h, Duration dt) noexcept {
 
     brake_fixed[i] = brake_slope[i] = 0.0;
     if (!joint.brake_free) {
+      // Beyond its torque it slips: the spring's slack end follows, and there is nothing but that torque.
       const double give = constant.brake_torque / kBrakeStiffness;
-      joint.brake_anchor = std::clamp(joint.brake_anchor, qm[i] - give, qm[i] + give);  // slips beyond its torque
+      const double twist = qm[i] - joint.brake_anchor;
+      const bool slips = !(std::abs(twist) < give);
+      if (slips) joint.brake_anchor = qm[i] - std::copysign(give, twist);
       brake_fixed[i] = kBrakeStiffness * (qm[i] - joint.brake_anchor);
-      brake_slope[i] = kBrakeDamping;
+      brake_slope[i] = slips ? 0.0 : kBrakeDamping;
     }
 
     stop[i] = 0.0;
