@@ -191,7 +191,7 @@ void check_elements(const Document& document) {
   (void)document.attribute(document.robot(), "name", "the robot");
   std::set<std::string> link_names;
   std::set<std::string> joint_names;
-  std::set<std::string> children;
+  std::map<std::string, std::string> parent_of;
   for (auto* e = document.robot().FirstChildElement("link"); e != nullptr; e = e->NextSiblingElement("link")) {
     const std::string name = document.attribute(*e, "name", "a link");
     if (!link_names.insert(name).second) document.fail(*e, "link '" + name + "' is given twice; rename one");
@@ -208,11 +208,19 @@ void check_elements(const Document& document) {
       if (!link_names.contains(link)) {
         document.fail(*element, owner + " has '" + link + "' as " + end + ", but there is no such link");
       }
-      if (std::string(end) == "child" && !children.insert(link).second) {
-        document.fail(*element, "link '" + link + "' is the child of two joints; a chain has one joint per link");
-      }
+    }
+    const std::string child = e->FirstChildElement("child")->Attribute("link");
+    if (!parent_of.emplace(child, e->FirstChildElement("parent")->Attribute("link")).second) {
+      document.fail(*e, "link '" + child + "' is the child of two joints; a chain has one joint per link");
     }
     check_joint_element(document, *e, owner);
+  }
+  // urdfdom would not notice a loop beside a sound tree (and leaks it).
+  for (const auto& [link, parent] : parent_of) {
+    std::size_t steps = 0;
+    for (auto at = parent_of.find(link); at != parent_of.end(); at = parent_of.find(at->second)) {
+      if (++steps > parent_of.size()) document.fail_link(link, "hangs in a loop of joints; a chain has a beginning");
+    }
   }
 }
 
@@ -345,10 +353,6 @@ UrdfChain read_urdf_chain(const std::filesystem::path& file) {
                          "moves with joint '" + joint.name + "' but has no <inertial>; add its mass and inertia");
     }
     chain.joints.push_back(joint);
-  }
-  for (const auto& [name, link] : model->links_) {
-    if (!chain.links.contains(name))
-      document.fail_link(name, "is not connected to the root link; connect or remove it");
   }
   if (chain.joints.empty()) document.fail(0, "there is no revolute joint; a robot has at least one");
   return chain;

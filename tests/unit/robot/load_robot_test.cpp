@@ -486,7 +486,14 @@ const std::vector<Spoil> kSpoils = {
      "<parent link=\"link_2\"/>",
      "<parent link=\"link_1\"/>",
      {"branches off beside", "one serial chain"}},
-    {"loop", kUrdf, "<parent link=\"base\"/>", "<parent link=\"link_3\"/>", {"is not connected to the root link"}},
+    {"loop", kUrdf, "<parent link=\"base\"/>", "<parent link=\"link_3\"/>", {"hangs in a loop of joints"}},
+    {"loop_beside",
+     kUrdf,
+     "<link name=\"base\"/>",
+     "<link name=\"base\"/><link name=\"a\"/><link name=\"b\"/><joint name=\"ab\" type=\"fixed\"><parent "
+     "link=\"a\"/><child "
+     "link=\"b\"/></joint><joint name=\"ba\" type=\"fixed\"><parent link=\"b\"/><child link=\"a\"/></joint>",
+     {"link 'a' hangs in a loop of joints"}},
     {"two_roots",
      kUrdf,
      "<link name=\"base\"/>",
