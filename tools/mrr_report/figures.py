@@ -69,6 +69,24 @@ def swing_poses(run, swing):
     return [ArmPose(run.result["geometry"], q[row]) for row in rows], path
 
 
+def label_joint(ax, at, chain, joint, passive):
+    """The joint's name on the side where no link is."""
+    away = np.zeros(2)
+    for point in chain:
+        distance = np.linalg.norm(at - point)
+        if 1e-6 < distance:
+            away += (at - point) / distance**3
+    away = away / np.linalg.norm(away) if np.linalg.norm(away) > 1e-6 else np.array([-1.0, 0.0])
+    if away[1] < -0.9 and at[1] <= chain[:, 1].min() + 0.02:
+        away = np.array([-0.8, 0.8])  # clear of the base
+    align = "center" if abs(away[0]) < 0.5 else ("left" if away[0] > 0 else "right")
+    level = "center" if abs(away[1]) < 0.5 else ("bottom" if away[1] > 0 else "top")
+    ax.annotate(f"{joint_label(joint)}\n{'passive' if passive else 'active'}", at, xytext=10 * away,
+                textcoords="offset points", ha=align, va=level, fontsize=8, linespacing=1.15, zorder=23,
+                color=style.BLUE if passive else style.INK, bbox={"fc": style.PAPER, "ec": "none", "alpha": 0.8,
+                                                                  "pad": 0.6})
+
+
 def draw_arm(ax, run, swing):
     """Side view, to scale: the way in of one blow as it really was, nail and board."""
     geometry = run.result["geometry"]
@@ -79,7 +97,10 @@ def draw_arm(ax, run, swing):
     right, up = plane_of(np.vstack([path, nail, base] + [p for pose in poses for p in pose.joints + [pose.face]]))
     if right @ (nail - base) < 0:
         right = -right
-    flat = lambda p: np.array([right @ p, up @ p])  # noqa: E731
+
+    def flat(point):
+        return np.array([right @ point, up @ point])
+
     touch = poses[-1]
 
     # Board and nail.
@@ -114,7 +135,7 @@ def draw_arm(ax, run, swing):
     ax.plot(trail[:, 0], trail[:, 1], color=style.ORANGE, lw=1.2, ls=(0, (4, 2)), zorder=20)
 
     normal_of_plane = np.cross(right, up)
-    drawn = []
+    others = np.array([flat(p) for pose in poses for p in pose.joints + [pose.handle]])
     for joint, origin, axis in zip(run.joints, touch.joints, touch.axes):
         at = flat(origin)
         passive = run.joint_entry(swing.entry, joint)["passive"]
@@ -124,11 +145,7 @@ def draw_arm(ax, run, swing):
         else:
             ax.plot(*at, "o", ms=8.5, mfc=style.PAPER if passive else style.INK,
                     mec=style.BLUE if passive else style.INK, mew=2.2 if passive else 1, zorder=22)
-        crowded = sum(np.linalg.norm(at - other) < 0.08 for other in drawn)
-        drawn.append(at)
-        ax.annotate(joint_label(joint) + ("\npassive" if passive else "\nactive"), at, xytext=(-9, -9 - 20 * crowded),
-                    textcoords="offset points", ha="right", va="top", fontsize=8, linespacing=1.15, zorder=23,
-                    color=style.BLUE if passive else style.INK)
+        label_joint(ax, at, others, joint, passive)
     ax.annotate("back-swing", trail[0], xytext=(7, 4), textcoords="offset points", fontsize=8, color=style.ORANGE)
     ax.annotate(f"nail {1e3 * before_m:.0f} mm proud,\ndriven {swing.entry['penetration_mm']:.1f} mm", hole,
                 xytext=(0, -21), textcoords="offset points", fontsize=8, ha="center", va="top", color=style.INK)
@@ -149,12 +166,13 @@ def draw_nail_height(ax, run):
     numbers = np.arange(len(really))
     ax.axhspan(-0.09 * really[0], 0, color=style.WOOD, lw=0)
     ax.vlines(numbers, 0, really, color=style.INK, lw=2.2, zorder=3)
-    ax.hlines(really, numbers - 0.18, numbers + 0.18, color=style.INK, lw=3, zorder=3, label="really")
+    ax.plot(numbers, really, "_", ms=16, mec=style.INK, mew=3, zorder=3, label="really")
     ax.plot(numbers[1:], believed, "o", ms=7, mfc="none", mec=style.ORANGE, mew=1.5, label="the robot's estimate",
             zorder=4)
     for number, height in zip(numbers, really):
         ax.annotate(f"{height:.1f}", (number, height), xytext=(0, 8), textcoords="offset points", ha="center",
                     fontsize=8)
+    ax.set_xlim(-0.6, len(really) - 0.4)
     ax.set(xlabel="after swing", ylabel="nail above the board [mm]", ylim=(-0.09 * really[0], 1.18 * max(really)),
            xticks=numbers if len(numbers) <= 13 else numbers[::2])
     ax.set_xticklabels(["start" if number == 0 else str(number) for number in ax.get_xticks()])
@@ -179,8 +197,8 @@ def draw_force(ax, run, legend=True):
     ax.set(xlabel="time from first touch [ms]", ylabel="contact force [N]", xlim=(-20, 1e3 * end_s))
     ax.set_ylim(bottom=min(0.0, ax.get_ylim()[0]))
     if legend:
-        ax.legend(title="swing: impulse (robot's estimate)", loc="upper right", alignment="left",
-                  ncols=2 if len(hits) > 6 else 1, title_fontsize=8)
+        ax.legend(title="swing: impulse (robot's estimate)", loc="upper center", bbox_to_anchor=(0.5, -0.17),
+                  ncols=3, title_fontsize=8, columnspacing=1.2)
     ax.set_title("Contact force, and the robot's own estimate (dashed)")
 
 
@@ -243,9 +261,9 @@ def draw_torque(ax, run, joint, other=None, title=True):
     if title:
         ax.set_title(f"{joint_label(joint)}, {mode}")
     if compared:
-        ax.legend(loc="center right")
+        ax.legend(loc="best")
     elif len(hits) <= style.LARGEST_SERIES:
-        ax.legend(loc="center right", title="swing", title_fontsize=8, ncols=1 + len(hits) // 7)
+        ax.legend(loc="best", title="swing", title_fontsize=8, ncols=1 + len(hits) // 7)
 
 
 def draw_torque_shares(ax, run, other=None):
@@ -278,7 +296,7 @@ def draw_torque_shares(ax, run, other=None):
     ax.set_xticklabels([str(entry["number"]) for entry in entries])
     ax.set_ylim(0, max(118, 1.08 * ax.get_ylim()[1]))
     ax.grid(axis="x", visible=False)
-    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=min(4, count + 1), columnspacing=1.2)
+    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=3, columnspacing=1.2)
     ax.set_title("Peak torque of every blow against the gears' limits")
 
 
@@ -290,19 +308,23 @@ def draw_position_error(ax, run, joint):
         error[swing[f"{joint}_passive"] > 0.5] = np.nan
         rows = (swing.time_s >= -1.0) & (swing.time_s <= 1.0)
         ax.plot(swing.time_s[rows], error[rows], color=colour, lw=1.1, label=f"{swing.number}", zorder=3)
+    low, high = ax.get_ylim()
+    ax.set_ylim(min(low, -1.0), max(high, 1.0))  # less than a milliradian is not worth magnifying
     ax.axvspan(0, np.mean([swing.contact_s for swing in run.hits]), color=style.SHADE, lw=0, zorder=0)
     ax.set(xlabel="time from first touch [s]", ylabel="reference − position [mrad]")
     if len(run.hits) <= style.LARGEST_SERIES:
-        ax.legend(loc="upper left", title="swing", title_fontsize=8, ncols=1 + len(run.hits) // 7)
+        ax.legend(loc="best", title="swing", title_fontsize=8, ncols=1 + len(run.hits) // 7)
     ax.set_title(f"Position error, {joint_label(joint)}")
 
 
 def draw_motor_velocity(ax, run, swing):
     """An active and a passive joint through one blow, and when the passive one switched."""
-    moving = [joint for joint in run.joints if run.moving(joint)]
-    passive = [joint for joint in moving if run.joint_entry(swing.entry, joint)["passive"]]
-    active = [joint for joint in moving if joint not in passive]
-    speed = lambda joint: np.max(np.abs(swing[f"{joint}_motor_velocity"][swing.between(-0.5, 0.3)]), initial=0.0)  # noqa: E731
+    passive = [joint for joint in run.joints if run.joint_entry(swing.entry, joint)["passive"]]
+    active = [joint for joint in run.joints if joint not in passive]
+
+    def speed(joint):
+        return np.max(np.abs(swing[f"{joint}_motor_velocity"][swing.between(-0.1, 0.2)]), initial=0.0)
+
     chosen = [max(group, key=speed) for group in (active, passive) if group]
     end_s = swing.contact_s + 0.25
     rows = swing.between(-0.25, end_s)
@@ -360,8 +382,11 @@ def most_telling_joint(run):
     if passive:
         held = {j["name"]: j["held_nm_s"] / j["rated_limit_nm_s"] for j in run.hit_entries[0]["plan"]["joints"]}
         return max(passive, key=held.get)
-    share = lambda j: max(run.joint_entry(e, j)["peak_torque_nm"] / run.joint_entry(e, j)["repeated_peak_nm"]  # noqa: E731
-                          for e in run.hit_entries)
+
+    def share(joint):
+        blows = [run.joint_entry(entry, joint) for entry in run.hit_entries]
+        return max(blow["peak_torque_nm"] / blow["repeated_peak_nm"] for blow in blows)
+
     return max(run.joints, key=share)
 
 

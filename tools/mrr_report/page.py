@@ -11,12 +11,22 @@ from .style import plt
 
 
 def escape(text):
-    return escape_module.escape(str(text))
+    """For HTML; a percent sign stays with its number."""
+    return escape_module.escape(str(text)).replace(" %", "\u00a0%")
 
 
 def fixed(value, digits=2):
     """A number, or a dash for one that is unknown."""
-    return "–" if value is None else f"{value:.{digits}f}".replace("-", "−")
+    if value is None:
+        return "–"
+    text = f"{value:.{digits}f}"
+    return text.lstrip("-") if float(text) == 0 else text.replace("-", "−")
+
+
+def span(values, digits, unit):
+    """"3 to 5 ms", or "3 ms" if that is all."""
+    low, high = fixed(min(values), digits), fixed(max(values), digits)
+    return f"{low} {unit}" if low == high else f"{low} to {high} {unit}"
 
 
 def mass(value):
@@ -59,6 +69,11 @@ def paragraph(text):
 # ---------------------------------------------------------------------------------------------------------- headline
 
 
+def board(result):
+    """Its name; a path is shortened to the file's."""
+    return pathlib.PurePath(result["board"]).stem
+
+
 def headline(run):
     result = run.result
     passed = "pass" if result["success"] else "fail"
@@ -74,7 +89,7 @@ def headline(run):
                     for name, value, text in tiles)
     mode = figures.MODE_LABELS[run.mode]
     formulation = ", equations as printed by the reference" if result["formulation"] == "as_printed" else ""
-    return (f"<header><p class=kicker>MRR hammering report</p><h1>{escape(result['robot'])} on {escape(result['board'])}"
+    return (f"<header><p class=kicker>MRR hammering report</p><h1>{escape(result['robot'])} on {escape(board(result))}"
             f"</h1><p class='verdict {passed}'>{escape(sentence(result['reason']))}</p>"
             f"<p class=small>{escape(mode)}, seed {result['seed']}{formulation}</p><dl>{cards}</dl></header>")
 
@@ -92,15 +107,14 @@ def force_in_words(run):
     off = [abs(e["seen_by_robot"]["impulse_n_s"] / e["impulse_measured_n_s"] - 1) for e in entries
            if e["impulse_measured_n_s"] > 0]
     return (f"Contact force of every blow, by a force sensor under the board. Contacts last "
-            f"{fixed(min(e['contact_ms'] for e in entries), 0)} to {fixed(max(e['contact_ms'] for e in entries), 0)} ms; "
-            f"from its joints alone the robot estimates the impulse with a mean error of {fixed(100 * np.mean(off), 0)} %.")
+            f"{span([e['contact_ms'] for e in entries], 0, 'ms')}; from its joints alone the robot estimates the impulse with a mean error of {fixed(100 * np.mean(off), 0)} %.")
 
 
 def impulses_in_words(run):
     off = [e["impulse_predicted_n_s"] / e["impulse_measured_n_s"] - 1 for e in run.hit_entries
            if e["impulse_measured_n_s"] > 0]
     return (f"Impulse predicted before each blow, measured, and estimated by the robot. The prediction is off by "
-            f"{fixed(100 * min(off), 0)} to {fixed(100 * max(off), 0)} %.")
+            f"{span([100 * share for share in off], 0, '%')}.")
 
 
 def torque_in_words(run, joint):
@@ -110,7 +124,7 @@ def torque_in_words(run, joint):
     text = (f"{figures.joint_label(joint)}: at most {fixed(peak, 1)} Nm in contact, "
             f"{fixed(100 * peak / blows[0]['repeated_peak_nm'], 0)} % of the repeated peak.")
     if leads:
-        text += f" Wholly passive {fixed(min(leads), 1)} to {fixed(max(leads), 1)} ms before first touch."
+        text += f" Wholly passive {span(leads, 1, 'ms')} before first touch."
     return text
 
 
@@ -259,7 +273,7 @@ border-top:1px solid GRID}p{margin:.4rem 0 .8rem;max-width:46rem}
 dl{display:grid;grid-template-columns:repeat(auto-fit,minmax(9.5rem,1fr));gap:.6rem 1.4rem;margin:1.2rem 0 0}
 dl div{border-top:2px solid INK;padding-top:.3rem}dt{color:MUTED;font-size:.85rem}dd{margin:0}dd b{display:block;
 font-size:1.45rem;line-height:1.3}dd span{font-size:.82rem;line-height:1.35;color:MUTED;display:block}
-.grid{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,24rem),1fr));gap:1.4rem 1.8rem;align-items:start}
+.grid{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(100%,24rem),1fr));gap:1.4rem 1.8rem;align-items:start}
 figure{margin:0}figure svg{display:block;width:100%;height:auto;max-width:48rem}figcaption{font-size:.86rem;color:MUTED;line-height:1.4;
 margin-top:.2rem}
 .scroll{overflow-x:auto;margin:.8rem 0 1.2rem}table{border-collapse:collapse;font-size:.86rem;
@@ -291,7 +305,7 @@ def run_sections(run, other):
             figure("nail", "Height of the nail's head above the board after each swing.",
                    lambda ax: figures.draw_nail_height(ax, run), (4.7, 4.0)))))
         parts.append(section("The blow", grid(
-            figure("force", force_in_words(run), lambda ax: figures.draw_force(ax, run)),
+            figure("force", force_in_words(run), lambda ax: figures.draw_force(ax, run), (4.7, 3.4)),
             figure("impulse", impulses_in_words(run), lambda ax: figures.draw_impulses(ax, run)))))
         torques = [figure(f"torque{k}", torque_in_words(run, joint),
                           lambda ax, j=joint: figures.draw_torque(ax, run, j, other))
@@ -300,13 +314,13 @@ def run_sections(run, other):
                         "rated torque.", lambda ax: figures.draw_torque_shares(ax, run, other), (4.7, 3.3))
         words = paragraph(comparison_in_words(run, other)) if other is not None and other.hit_entries else ""
         parts.append(section("What the gears carry", words, grid(*torques, shares)))
-        active = [j for j in run.joints if run.moving(j) and not all(
-            run.joint_entry(e, j)["passive"] for e in run.hit_entries)]
+        quiet = {joint for joint in run.joints if not run.moving(joint) and run.ever_passive(joint)}
+        followed = [joint for joint in run.joints if joint not in quiet]
         parts.append(section("How the joints move", grid(
             figure("velocity", f"Blow {hardest.number}. A motor that is held reverses and fights the blow; a passive one "
                    "is carried along.", lambda ax: figures.draw_motor_velocity(ax, run, hardest)),
             *(figure(f"error{k}", f"How far {figures.joint_label(joint)} lags behind its reference; shaded: contact.",
-                     lambda ax, j=joint: figures.draw_position_error(ax, run, j)) for k, joint in enumerate(active)))))
+                     lambda ax, j=joint: figures.draw_position_error(ax, run, j)) for k, joint in enumerate(followed)))))
     else:
         parts.append(section("No blow", paragraph("No swing hit anything, so there is nothing to draw.")))
     if run.result["plan"]:
@@ -327,7 +341,7 @@ def html(folder, compare_folder=None):
     if experiment is None or (folder / "result.json").is_file():
         run = data.load(folder)
         other = data.load_comparison(folder, compare_folder)
-        title = f"{run.result['robot']} on {run.result['board']}"
+        title = f"{run.result['robot']} on {board(run.result)}"
         parts += run_sections(run, other)
         if experiment is None and "experiment" in run.result:
             experiment = {"series": run.result["experiment"]}
