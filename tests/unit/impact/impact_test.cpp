@@ -392,6 +392,21 @@ TEST(FiniteTime, GravityOverTheContactIsAsLargeAsTheBlow) {
   EXPECT_NEAR(correction[2], 3.4335 * 0.078, 1e-9);
 }
 
+TEST(FiniteTime, VelocityTermsAreIntegratedAlongTheChangeOfSpeed) {
+  Random random(9);
+  const Chain chain(test::random_robot(random, 6));
+  const JointVector q = test::random_vector(random, 6, -2.0, 2.0);
+  const JointVector before = test::random_vector(random, 6, -2.0, 2.0);
+  const JointVector after = test::random_vector(random, 6, -2.0, 2.0);
+  JointVector expected = JointVector::Zero(6);
+  constexpr int kSlices = 20000;
+  for (int k = 0; k < kSlices; ++k) {
+    const JointVector qd = before + (k + 0.5) / kSlices * (after - before);
+    expected += 0.08 / kSlices * chain.bias(q, qd);
+  }
+  EXPECT_LT((finite_time_correction_nm_s(chain, {}, q, before, after, 0.08) - expected).cwiseAbs().maxCoeff(), 1e-8);
+}
+
 TEST(FiniteTime, FrictionIsIntegratedThroughItsChangeOfSign) {
   RobotDescription robot = test::reference_arm().robot;
   robot.gravity_m_s2.setZero();
@@ -460,6 +475,7 @@ TEST(Measures, LoadRatioTakesTheWorstJointAndTrustsNoBadLimit) {
   EXPECT_DOUBLE_EQ(load_ratio_per_impulse(got, std::array{1.0, 1.0, 0.1}), expected / got.impulse_n_s);
   EXPECT_EQ(load_ratio(got, std::array{1.0, 0.0, 1.0}), kInfinity);
   EXPECT_EQ(load_ratio(got, std::array{1.0, kNan, 1.0}), kInfinity);
+  EXPECT_EQ(load_ratio(got, std::array{-1.0, 1.0, 1.0}), kInfinity) << "even where the impulse is zero";
   EXPECT_EQ(load_ratio(got, std::array{1.0, 1.0}), kInfinity);
 }
 
