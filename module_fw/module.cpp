@@ -107,6 +107,7 @@ std::uint32_t to_ms(Duration d) noexcept { return static_cast<std::uint32_t>(d /
 Module::Module(const ModuleConfig& config) noexcept
     : config_(usable_or_harmless(config)),
       dt_s_(config_.tick.seconds_f()),
+      tick_us_(static_cast<std::uint32_t>(config_.tick / microseconds(1))),
       node_((fill_objects(), od_), can::NodeConfig{.node_id = config_.node_id, .bit_rate = config_.bit_rate}, *this),
       pll_(config_.knot_period),
       selection_(config_.selection_bit),
@@ -130,7 +131,7 @@ void Module::fill_objects() noexcept {
   od_.protocol_hash = can::kProtocolHash;
   od_.configuration_hash = c.configuration_hash;
   od_.identity_serial_number = c.serial_number;
-  od_.loop_rate_hz = static_cast<std::uint16_t>(seconds(1.0) / c.tick);
+  od_.loop_rate_hz = static_cast<std::uint16_t>(milliseconds(1000) / c.tick);
   od_.knot_period_us = static_cast<std::uint32_t>(c.knot_period / microseconds(1));
   od_.selection_bit = c.selection_bit;
   od_.consumer_heartbeat[0] =
@@ -950,7 +951,7 @@ void Module::publish() noexcept {
   // 60FDh: bits 0 negative limit, 1 positive limit, 2 home; 16 index, 17 brake released, 18 power stage fault.
   od_.digital_inputs = (in & 0x07U) | ((in >> 3U) & 0x07U) << 16U;
   od_.brake_released = sensing_.input(kInputBrakeReleased) ? 1 : 0;
-  od_.uptime_us += static_cast<std::uint64_t>(dt_s_ * 1e6F + 0.5F);
+  od_.uptime_us += tick_us_;
 }
 
 }  // namespace mrr::fw

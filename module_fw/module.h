@@ -95,6 +95,7 @@ class Module final : private can::NodeApplication {
 
   ModuleConfig config_;  ///< what is in force: as configured, then as written over the bus
   float dt_s_;
+  std::uint32_t tick_us_;
   ModuleStatus status_;
 
   can::ObjectDictionary od_;
