@@ -24,8 +24,10 @@ constexpr double kLeastSpeedShare = 0.3;       // a blow slower than this share 
 constexpr double kLeastBackSwingShare = 0.25;  // of the back-swing that was wanted
 constexpr double kMaxFollowThroughM = 0.06;
 constexpr double kBoardRadiusM = 0.10;     // how far around the nail the board is taken to reach
+constexpr double kLeaveBoardM = 0.01;      // a motion may begin this far inside the board, for a bad estimate
 constexpr double kNailClearanceM = 0.003;  // beside the face
 constexpr double kLongestMotionS = 30.0;
+constexpr double kLongestSwingS = 3.0;
 constexpr double kDegrees = 180.0 / std::numbers::pi;
 
 [[noreturn]] void refuse(const std::string& sentence) { throw PlanError(sentence); }
@@ -44,6 +46,17 @@ std::string names(const RobotDescription& robot, std::uint32_t mask) {
 }
 
 Duration knot_period(const RobotDescription& robot) { return seconds(1.0 / robot.bus.knot_rate_hz); }
+
+/// Why trajectories could not be made.
+struct Obstacle {
+  std::string sentence;
+  bool slower_helps = false;
+};
+
+/// Slower asks for less speed, acceleration and torque; it makes no room.
+Obstacle obstacle(const std::string& what, const LimitCheck& check, const RobotDescription& robot) {
+  return {what + describe(check, robot), check.worst != LimitKind::position};
+}
 
 /// A pose that may be struck from, with everything known about it before trajectories.
 struct Blow {
@@ -79,10 +92,10 @@ class Planner {
   [[nodiscard]] std::vector<std::size_t> ranked(const std::vector<Blow>& blows) const;
 
   std::optional<std::string> build(Blow& blow, StrikePlan& plan) const;
-  std::optional<std::string> build_at_speed(const Blow& blow, StrikePlan& plan) const;
-  std::optional<std::string> build_stop(const Blow& blow, StrikePlan& plan, Duration& stop) const;
-  std::optional<std::string> build_swing(const Blow& blow, StrikePlan& plan, Duration stop, double travel) const;
-  std::optional<std::string> build_approach(StrikePlan& plan) const;
+  std::optional<Obstacle> build_at_speed(const Blow& blow, StrikePlan& plan) const;
+  std::optional<Obstacle> build_stop(const Blow& blow, StrikePlan& plan, Duration& stop) const;
+  std::optional<Obstacle> build_swing(const Blow& blow, StrikePlan& plan, Duration stop, double travel) const;
+  std::optional<Obstacle> build_approach(StrikePlan& plan) const;
   [[nodiscard]] bool below_board(const ChainPose& pose) const;
   [[nodiscard]] bool collides(const JointTrajectory& trajectory, Duration until) const;
   [[nodiscard]] double depth(const JointVector& q) const;
@@ -327,13 +340,14 @@ bool Planner::collides(const JointTrajectory& trajectory, Duration until) const 
     const bool board = height < -request_.board_distance_m - 1e-5 && beside < kBoardRadiusM;
     const bool clear = !nail && !board && !below_board(pose);
     if (was_clear && !clear) return true;
+    if (board && height < -request_.board_distance_m - kLeaveBoardM) return true;
     was_clear = was_clear || clear;
   }
   return false;
 }
 
 /// From the impact state to rest past the head. Speed falls as 1 - 3s^2 + 2s^3, so the way is half of speed times time.
-std::optional<std::string> Planner::build_stop(const Blow& blow, StrikePlan& plan, Duration& stop) const {
+std::optional<Obstacle> Planner::build_stop(const Blow& blow, StrikePlan& plan, Duration& stop) const {
   const JointVector& qd = blow.qd;
   const double cap = std::max(kMaxFollowThroughM, request_.follow_through_m);
   double least_s = 0.0;
@@ -346,17 +360,17 @@ std::optional<std::string> Planner::build_stop(const Blow& blow, StrikePlan& pla
     const double reached = depth(q_stop);
     const bool turned = blow.speed_m_s * 0.5 * stop.seconds() > 4.0 * std::max(cap, 0.01);
     if (turned || reached > cap) {
-      if (!last.ok()) return "no room to follow through: " + describe(last, robot_);
-      return fmt::format("the reference cannot follow through by {:.1f} mm along the nail here",
-                         1e3 * request_.follow_through_m);
+      if (!last.ok()) return obstacle("no room to follow through: ", last, robot_);
+      return Obstacle{fmt::format("the reference cannot follow through by {:.1f} mm along the nail here",
+                                  1e3 * request_.follow_through_m)};
     }
     if (reached < request_.follow_through_m) continue;
     JointTrajectory trajectory({blow.pose.q, qd, JointVector::Zero(dof())});
-    if (!trajectory.append(at_rest(q_stop), stop)) return "a trajectory could not be made";
+    if (!trajectory.append(at_rest(q_stop), stop)) return Obstacle{"a trajectory could not be made"};
     const LimitCheck check = check_segment(robot_, chain_, limits_, trajectory, 0);
     if (!check.ok()) {
       last = check;
-      if (check.worst == LimitKind::position) return "no room to follow through: " + describe(check, robot_);
+      if (check.worst == LimitKind::position) return obstacle("no room to follow through: ", check, robot_);
       if (check.worst != LimitKind::acceleration) why_longer = describe(check, robot_) + " if it stopped sooner";
       continue;
     }
@@ -374,30 +388,30 @@ std::optional<std::string> Planner::build_stop(const Blow& blow, StrikePlan& pla
 }
 
 /// Back-swing start -> impact -> stop -> back-swing start, along one line in joint space.
-std::optional<std::string> Planner::build_swing(const Blow& blow, StrikePlan& plan, Duration stop,
-                                                double travel) const {
+std::optional<Obstacle> Planner::build_swing(const Blow& blow, StrikePlan& plan, Duration stop, double travel) const {
   const JointVector back = blow.qd / largest_magnitude(blow.qd);
   const JointVector q_start = blow.pose.q - travel * back;
   for (int i = 0; i < dof(); ++i) {
     if (q_start[i] >= limits_.lower_rad[i] && q_start[i] <= limits_.upper_rad[i]) continue;
-    return fmt::format("no room for the back-swing: {} would have to start at {:.3f} rad, limits {:.3f} to {:.3f}",
-                       robot_.joints[at(i)].name, q_start[i], limits_.lower_rad[i], limits_.upper_rad[i]);
+    return Obstacle{
+        fmt::format("no room for the back-swing: {} would have to start at {:.3f} rad, limits {:.3f} to {:.3f}",
+                    robot_.joints[at(i)].name, q_start[i], limits_.lower_rad[i], limits_.upper_rad[i])};
   }
   const JointMotion impact{blow.pose.q, blow.qd, JointVector::Zero(dof())};
   LimitCheck why;
   const auto down =
-      shortest_duration(robot_, chain_, limits_, at_rest(q_start), impact, grid_, seconds(kLongestMotionS), why);
-  if (!down) return "the swing is not feasible: " + describe(why, robot_);
+      shortest_duration(robot_, chain_, limits_, at_rest(q_start), impact, grid_, seconds(kLongestSwingS), why);
+  if (!down) return obstacle("the swing is not feasible: ", why, robot_);
   const auto up = shortest_duration(robot_, chain_, limits_, at_rest(plan.q_stop), at_rest(q_start), grid_,
                                     seconds(kLongestMotionS), why);
-  if (!up) return "the return is not feasible: " + describe(why, robot_);
+  if (!up) return obstacle("the return is not feasible: ", why, robot_);
 
   JointTrajectory strike(at_rest(q_start));
   if (!strike.append(impact, *down) || !strike.append(at_rest(plan.q_stop), stop) ||
       !strike.append(at_rest(q_start), *up)) {
-    return "a trajectory could not be made";
+    return Obstacle{"a trajectory could not be made"};
   }
-  if (collides(strike, *down)) return "the hammer would touch nail or board on the way in";
+  if (collides(strike, *down)) return Obstacle{"the hammer would touch nail or board on the way in"};
   plan.strike = strike;
   plan.contact_time = *down;
   plan.stop_time = *down + stop;
@@ -407,18 +421,18 @@ std::optional<std::string> Planner::build_swing(const Blow& blow, StrikePlan& pl
 }
 
 /// Rest to rest; over a raised pose if the straight way in joint space meets nail or board.
-std::optional<std::string> Planner::build_approach(StrikePlan& plan) const {
+std::optional<Obstacle> Planner::build_approach(StrikePlan& plan) const {
   MotionLimits limits = limits_;  // the arm may stand a little outside its limits; it must then come back in
   limits.lower_rad = limits.lower_rad.cwiseMin(request_.start);
   limits.upper_rad = limits.upper_rad.cwiseMax(request_.start);
-  std::string why;
+  Obstacle why;
   const auto go = [&](JointTrajectory& way, const JointVector& q) {
     if (largest_magnitude(way.end().q - q) < 1e-9) return true;
     LimitCheck check;
     const auto time =
         shortest_duration(robot_, chain_, limits, way.end(), at_rest(q), grid_, seconds(kLongestMotionS), check);
     if (time && way.append(at_rest(q), *time)) return true;
-    why = "the way to the back-swing is not feasible: " + describe(check, robot_);
+    why = {"the way to the back-swing is not feasible: " + describe(check, robot_)};
     return false;
   };
   JointTrajectory direct(at_rest(request_.start));
@@ -437,14 +451,14 @@ std::optional<std::string> Planner::build_approach(StrikePlan& plan) const {
     plan.approach = over;
     return std::nullopt;
   }
-  return "the hammer would touch nail or board on its way from the present pose to the back-swing";
+  return Obstacle{"the hammer would touch nail or board on its way from the present pose to the back-swing"};
 }
 
-std::optional<std::string> Planner::build_at_speed(const Blow& blow, StrikePlan& plan) const {
+std::optional<Obstacle> Planner::build_at_speed(const Blow& blow, StrikePlan& plan) const {
   Duration stop;
   if (auto why = build_stop(blow, plan, stop)) return why;
-  std::optional<std::string> why;
-  for (double share = 1.0; share >= kLeastBackSwingShare; share -= 0.125) {
+  std::optional<Obstacle> why;
+  for (double share = 1.0; share >= kLeastBackSwingShare; share -= 0.25) {
     auto swing = build_swing(blow, plan, stop, share * robot_.task.back_swing_rad);
     if (!swing) return build_approach(plan);
     if (!why) why = swing;  // the reason that counts is the one against the full back-swing
@@ -452,15 +466,16 @@ std::optional<std::string> Planner::build_at_speed(const Blow& blow, StrikePlan&
   return why;
 }
 
-/// Trajectories of a blow; slower if they break a limit. Returns why not.
+/// Trajectories of a blow; slower if they ask too much of the joints. Returns why not.
 std::optional<std::string> Planner::build(Blow& blow, StrikePlan& plan) const {
   std::optional<std::string> first;
   while (blow.speed_m_s >= kLeastSpeedShare * blow.wanted_speed_m_s) {
     const auto why = build_at_speed(blow, plan);
     if (!why) return std::nullopt;
-    if (!first) first = why;
-    blow.qd *= kSlowDown;
-    blow.speed_m_s *= kSlowDown;
+    if (!first) first = why->sentence;
+    if (!why->slower_helps) break;
+    blow.qd *= kSlowDown * kSlowDown;
+    blow.speed_m_s *= kSlowDown * kSlowDown;
     if (!select(blow)) break;
     blow.measure = measure_of(blow);
   }

@@ -57,7 +57,7 @@ void check_torques(const RobotDescription& robot, const Chain& chain, const Moti
                    const JointTrajectory& trajectory, std::size_t segment, Worst& worst) noexcept {
   const Duration start = trajectory.segment_start(segment);
   const Duration length = trajectory.segment_start(segment + 1) - start;
-  const std::int64_t steps = std::max<std::int64_t>(24, (length.ns + 4'999'999) / 5'000'000);
+  const std::int64_t steps = std::clamp<std::int64_t>((length.ns + 4'999'999) / 5'000'000, 24, 400);
   JointMotion motion;
   for (std::int64_t k = 0; k <= steps; ++k) {
     trajectory.sample(start + length * k / steps, motion);
@@ -203,6 +203,9 @@ std::optional<Duration> shortest_duration(const RobotDescription& robot, const C
     }
     least_s = std::max(least_s, travel / limits.velocity_rad_s[i]);
   }
+  const auto at_rest_there = [](const JointMotion& m) { return m.qd.isZero() && m.qdd.isZero(); };
+  // From rest to rest slower is always easier: what cannot be done slowest cannot be done.
+  if (at_rest_there(start) && at_rest_there(end) && !feasible(longest / grid)) return std::nullopt;
   // Coarse upwards, because with speed at an end longer is not always easier; then back to the first that holds.
   const std::int64_t last = longest / grid;
   std::int64_t failed = std::max<std::int64_t>(seconds(least_s) / grid, 1) - 1;

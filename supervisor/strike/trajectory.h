@@ -103,8 +103,8 @@ struct MotionTorques {
 [[nodiscard]] MotionTorques motion_torques(const RobotDescription& robot, const Chain& chain,
                                            const JointMotion& motion) noexcept;
 
-/// Checks segment k: position, velocity, acceleration exactly (extremes of the quintics), torques at samples at most
-/// 5 ms apart (at least 24 of them).
+/// Checks segment k: position, velocity, acceleration exactly (extremes of the quintics), torques at samples 5 ms
+/// apart, but 24 at least and 400 at most.
 [[nodiscard]] LimitCheck check_segment(const RobotDescription& robot, const Chain& chain, const MotionLimits& limits,
                                        const JointTrajectory& trajectory, std::size_t segment) noexcept;
 /// All segments.
