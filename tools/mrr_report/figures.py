@@ -7,7 +7,7 @@ from . import style
 from .data import ArmPose
 from .style import plt
 
-PANEL = (4.7, 3.0)  # inches; two side by side on a desk, one below the other on a phone
+PANEL = (4.7, 3.3)  # inches; two side by side on a desk, one below the other on a phone
 MODE_COLOURS = {"planned": style.BLUE, "never": style.ORANGE, "always": style.PURPLE}
 MODE_LABELS = {"planned": "planned switching", "never": "never passive", "always": "always passive"}
 POSES = 6  # ghosted poses on the way in
@@ -25,10 +25,6 @@ def colours(swings):
     return [style.swing_colour(k, len(swings)) for k in range(len(swings))]
 
 
-def panel(size=PANEL):
-    return plt.subplots(figsize=size)
-
-
 def shade_contact(ax, hits, label=True):
     """From first touch to the mean end of contact."""
     end_ms = 1e3 * np.mean([swing.contact_s for swing in hits])
@@ -38,8 +34,10 @@ def shade_contact(ax, hits, label=True):
                     textcoords="offset points", ha="center", va="top", color=style.MUTED, fontsize=8)
 
 
-def note(ax, text):
-    ax.text(0.5, 0.5, text, transform=ax.transAxes, ha="center", va="center", color=style.MUTED)
+def legend_below(ax, **options):
+    """Under the label of the time axis, where no curve is."""
+    options = {"ncols": 3, "columnspacing": 1.2, "title_fontsize": 8} | options
+    ax.legend(loc="upper center", bbox_to_anchor=(0.5, 0), borderaxespad=4.4, **options)
 
 
 # ---------------------------------------------------------------------------------------------------------- the arm
@@ -197,8 +195,7 @@ def draw_force(ax, run, legend=True):
     ax.set(xlabel="time from first touch [ms]", ylabel="contact force [N]", xlim=(-20, 1e3 * end_s))
     ax.set_ylim(bottom=min(0.0, ax.get_ylim()[0]))
     if legend:
-        ax.legend(title="swing: impulse (robot's estimate)", loc="upper center", bbox_to_anchor=(0.5, -0.17),
-                  ncols=3, title_fontsize=8, columnspacing=1.2)
+        legend_below(ax, title="swing: impulse (robot's estimate)")
     ax.set_title("Contact force, and the robot's own estimate (dashed)")
 
 
@@ -261,9 +258,9 @@ def draw_torque(ax, run, joint, other=None, title=True):
     if title:
         ax.set_title(f"{joint_label(joint)}, {mode}")
     if compared:
-        ax.legend(loc="best")
+        legend_below(ax)
     elif len(hits) <= style.LARGEST_SERIES:
-        ax.legend(loc="best", title="swing", title_fontsize=8, ncols=1 + len(hits) // 7)
+        legend_below(ax, title="swing", ncols=6)
 
 
 def draw_torque_shares(ax, run, other=None):
@@ -296,7 +293,7 @@ def draw_torque_shares(ax, run, other=None):
     ax.set_xticklabels([str(entry["number"]) for entry in entries])
     ax.set_ylim(0, max(118, 1.08 * ax.get_ylim()[1]))
     ax.grid(axis="x", visible=False)
-    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=3, columnspacing=1.2)
+    legend_below(ax)
     ax.set_title("Peak torque of every blow against the gears' limits")
 
 
@@ -313,7 +310,7 @@ def draw_position_error(ax, run, joint):
     ax.axvspan(0, np.mean([swing.contact_s for swing in run.hits]), color=style.SHADE, lw=0, zorder=0)
     ax.set(xlabel="time from first touch [s]", ylabel="reference − position [mrad]")
     if len(run.hits) <= style.LARGEST_SERIES:
-        ax.legend(loc="best", title="swing", title_fontsize=8, ncols=1 + len(run.hits) // 7)
+        legend_below(ax, title="swing", ncols=6)
     ax.set_title(f"Position error, {joint_label(joint)}")
 
 
@@ -391,7 +388,7 @@ def most_telling_joint(run):
 
 
 def overview(run, other=None):
-    figure = plt.figure(figsize=(12, 5.4), facecolor=style.PAPER)
+    figure = plt.figure(figsize=(12, 6), facecolor=style.PAPER)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.12, 1))
     draw_arm(figure.add_subplot(grid[:, 0]), run, run.hits[0])
     draw_force(figure.add_subplot(grid[0, 1]), run)

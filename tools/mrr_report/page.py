@@ -3,6 +3,7 @@
 import html as escape_module
 import io
 import pathlib
+import re
 
 import numpy as np
 
@@ -44,14 +45,23 @@ def figure(name, caption, draw, size=figures.PANEL):
     return f"<figure>{svg}<figcaption>{escape(caption)}</figcaption></figure>"
 
 
-def table(head, rows, caption="", mark=None):
-    """`rows`: lists of texts, first column left-aligned. `mark`: indices of rows set off."""
-    cells = "".join(f"<th>{escape(text)}</th>" for text in head)
-    body = "".join(
-        f"<tr{' class=mark' if mark and k in mark else ''}>" + "".join(f"<td>{escape(text)}</td>" for text in row) +
-        "</tr>" for k, row in enumerate(rows))
+def is_number(text):
+    return text.lstrip("−+").replace(".", "").replace(" %", "").isdigit() or text in ("–", "∞", "")
+
+
+def table(head, rows, caption="", mark=()):
+    """`rows`: lists of texts; columns of numbers are aligned to the right. `mark`: indices of rows set off."""
+    rows = [[str(text) for text in row] for row in rows]
+    right = [all(is_number(row[k]) for row in rows) for k in range(len(head))]
+
+    def cells(tag, row):
+        return "".join(f"<{tag}{' class=n' if right[k] else ''}>{escape(text)}</{tag}>" for k, text in enumerate(row))
+
+    body = "".join(f"<tr{' class=mark' if k in mark else ''}>{cells('td', row)}</tr>" for k, row in enumerate(rows))
+    head = [re.sub(r"\[.*\]", lambda unit: unit[0].replace(" ", "\u00a0"), text) for text in head]
     title = f"<caption>{escape(caption)}</caption>" if caption else ""
-    return f'<div class="scroll"><table>{title}<thead><tr>{cells}</tr></thead><tbody>{body}</tbody></table></div>'
+    return (f'<div class="scroll"><table>{title}<thead><tr>{cells("th", head)}</tr></thead><tbody>{body}</tbody>'
+            "</table></div>")
 
 
 def grid(*parts):
@@ -277,9 +287,9 @@ font-size:1.45rem;line-height:1.3}dd span{font-size:.82rem;line-height:1.35;colo
 figure{margin:0}figure svg{display:block;width:100%;height:auto;max-width:48rem}figcaption{font-size:.86rem;color:MUTED;line-height:1.4;
 margin-top:.2rem}
 .scroll{overflow-x:auto;margin:.8rem 0 1.2rem}table{border-collapse:collapse;font-size:.86rem;
-font-variant-numeric:tabular-nums}th,td{padding:.28rem .7rem;text-align:right;border-bottom:1px solid GRID;
+font-variant-numeric:tabular-nums}th,td{padding:.28rem .7rem;text-align:left;border-bottom:1px solid GRID;
 vertical-align:top}th{font-weight:600;vertical-align:bottom;border-bottom:1.5px solid INK;min-width:4.2rem;line-height:1.25}
-th:first-child,td:first-child,td:last-child:not(:nth-child(2)){text-align:left}caption{text-align:left;font-weight:600;
+.n{text-align:right}caption{text-align:left;font-weight:600;
 padding-bottom:.3rem}.mark td{font-weight:600;background:SHADE}summary{cursor:pointer;margin:.3rem 0}code{font-size:.92em}
 @media print{body{max-width:none;font-size:10.5pt}figure,tr{break-inside:avoid}h2{break-after:avoid}
 .scroll{overflow:visible}table{font-size:7.5pt}th,td{padding:.15rem .3rem;min-width:0}th{min-width:0}}
@@ -305,13 +315,13 @@ def run_sections(run, other):
             figure("nail", "Height of the nail's head above the board after each swing.",
                    lambda ax: figures.draw_nail_height(ax, run), (4.7, 4.0)))))
         parts.append(section("The blow", grid(
-            figure("force", force_in_words(run), lambda ax: figures.draw_force(ax, run), (4.7, 3.4)),
-            figure("impulse", impulses_in_words(run), lambda ax: figures.draw_impulses(ax, run)))))
+            figure("force", force_in_words(run), lambda ax: figures.draw_force(ax, run)),
+            figure("impulse", impulses_in_words(run), lambda ax: figures.draw_impulses(ax, run), (4.7, 3.0)))))
         torques = [figure(f"torque{k}", torque_in_words(run, joint),
                           lambda ax, j=joint: figures.draw_torque(ax, run, j, other))
                    for k, joint in enumerate(run.joints)]
         shares = figure("shares", "Largest torque of each joint while in contact, per blow; the mark on a bar is the "
-                        "rated torque.", lambda ax: figures.draw_torque_shares(ax, run, other), (4.7, 3.3))
+                        "rated torque.", lambda ax: figures.draw_torque_shares(ax, run, other))
         words = paragraph(comparison_in_words(run, other)) if other is not None and other.hit_entries else ""
         parts.append(section("What the gears carry", words, grid(*torques, shares)))
         quiet = {joint for joint in run.joints if not run.moving(joint) and run.ever_passive(joint)}

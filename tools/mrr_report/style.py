@@ -14,7 +14,7 @@ INK, MUTED, GRID, PAPER = "#1c2127", "#5b6571", "#dde1e6", "#fefefe"
 WOOD, STEEL, SHADE = "#e7d8bd", "#8a939c", "#eceff3"
 BLUE, ORANGE, GREEN, PURPLE, SKY, AMBER, GREY = (
     "#0b6db0", "#d4580a", "#0a8f6a", "#b0619a", "#3d9fd6", "#c98a00", "#767d85")  # after Okabe and Ito
-JOINT_COLOURS = (GREEN, BLUE, ORANGE, PURPLE, SKY, AMBER, GREY)
+JOINT_COLOURS = (GREY, GREEN, PURPLE, AMBER, SKY, BLUE, ORANGE)  # those of the modes last
 
 DARK = {INK: "#e8ebee", MUTED: "#a3adb8", GRID: "#363d45", PAPER: "#15191d", WOOD: "#5a4a30", STEEL: "#a9b2bb",
         SHADE: "#262c33", BLUE: "#56b0f0", ORANGE: "#ff9250", GREEN: "#35c79c", PURPLE: "#e0a0cf", SKY: "#8fd0f7",
