@@ -14,13 +14,14 @@ namespace mrr::sup {
 namespace {
 
 constexpr std::int8_t kModePassive = -1;
-constexpr std::int8_t kModeActive = 8;
 constexpr std::int64_t kKnotsAhead = 2;  // knot sent at SYNC k is latched at k+1 and reached at k+2
 constexpr Duration kHeartbeatPeriod = milliseconds(50);
 constexpr double kStopShare = 0.7;     // of the acceleration limit, for controlled stops
 constexpr double kReturnShare = 0.25;  // of the limits, for the unhurried way back
 constexpr double kStartTolerance_rad = 1e-3;
 constexpr double kSelfCheckTolerance = 1e-9;
+/// A joint that ignores its knots for this long is not doing what it is told.
+constexpr int kAstrayCycles = 3;
 /// A switch that is due this soon anyway is not pulled.
 constexpr Duration kPullMargin = milliseconds(5);
 
@@ -98,6 +99,8 @@ const char* describe(AbortReason reason) noexcept {
       return "not aborted";
     case AbortReason::not_acknowledged:
       return "a joint did not acknowledge the mode switch in time";
+    case AbortReason::not_following:
+      return "a joint stopped following its set points";
     case AbortReason::condition:
       return "the approach was not the planned one";
     case AbortReason::joint_fault:
@@ -123,8 +126,16 @@ const char* describe(Refusal refusal) noexcept {
 }
 
 SwingProgram program_of(const StrikePlan& plan) {
-  return {plan.approach,     plan.strike,  plan.contact_time, plan.switch_time,
-          plan.passive_time, plan.passive, plan.q_back_swing};
+  return {.approach = plan.approach,
+          .strike = plan.strike,
+          .contact_time = plan.contact_time,
+          .switch_time = plan.switch_time,
+          .passive_time = plan.passive_time,
+          .passive = plan.passive,
+          .head_position_m = plan.head_position_m,
+          .normal = plan.normal,
+          .follow_through_m = plan.follow_through_m,
+          .q_back_swing = plan.q_back_swing};
 }
 
 Supervisor::Supervisor(const RobotDescription& robot, const SupervisorConfig& config)
@@ -174,9 +185,11 @@ JointVector Supervisor::measured_position() const noexcept {
   return q;
 }
 
-bool Supervisor::all_active() const noexcept {
+bool Supervisor::all_follow(std::uint32_t except) const noexcept {
   for (int i = 0; i < dof_; ++i) {
-    if (nodes_[at(i)].measured().mode_display != kModeActive) return false;
+    if (((except >> static_cast<unsigned>(i)) & 1U) != 0) continue;
+    const NodeProxy& node = nodes_[at(i)];
+    if (node.stage() != NodeStage::enabled || !node.measured().follows_knots()) return false;
   }
   return true;
 }
@@ -213,7 +226,6 @@ void Supervisor::step(Time now, std::span<const can::ReceivedFrame> received, ca
 }
 
 void Supervisor::watch_nodes() noexcept {
-  bool all_enabled = true;
   bool failed = false;
   for (int i = 0; i < dof_; ++i) {
     const NodeProxy& node = nodes_[at(i)];
@@ -225,16 +237,15 @@ void Supervisor::watch_nodes() noexcept {
       shown_problem_[at(i)] = node.problem();
       emit(EventKind::node_problem, i, static_cast<std::uint32_t>(node.problem()));
     }
-    if (node.stage() != NodeStage::enabled) all_enabled = false;
     if (node.stage() == NodeStage::faulted || node.stage() == NodeStage::lost) {
       failed = true;
       if (activity_ != Activity::faulted) emit(EventKind::fault, i, node.problem_detail());
     }
   }
   if (activity_ == Activity::bringing_up) {
-    // Old motions died with the fault or were never there: start from where the joints say they are.
-    if (all_enabled) {
-      reference_ = at_rest(measured_position());
+    // Old motions died with the fault or were never there: each joint was led from where it said it was.
+    if (all_follow()) {
+      reference_ = at_rest(reference_.q);
       motion_ = JointTrajectory(reference_);
       motion_start_ = sync_ + kKnotsAhead;
       activity_ = Activity::holding;
@@ -253,7 +264,7 @@ void Supervisor::watch_nodes() noexcept {
       outcome_.done = true;
       emit(EventKind::swing_aborted, -1, static_cast<std::uint32_t>(AbortReason::joint_fault));
     }
-  } else if (!all_enabled && activity_ == Activity::holding) {
+  } else if (!all_follow() && activity_ == Activity::holding) {
     activity_ = Activity::bringing_up;
   }
   if (recover_wanted_) {
@@ -332,9 +343,9 @@ void Supervisor::on_cycle() noexcept {
     sample_.qd[i] = measured.velocity_rad_s;
     sample_.torque_nm[i] = measured.torque_nm;
   }
-  if (activity_ != Activity::swinging && activity_ != Activity::resuming) return;
+  if (activity_ != Activity::swinging && activity_ != Activity::resuming && activity_ != Activity::returning) return;
 
-  // Joints moved by a passive phase stay watched until the blow is over.
+  // A blow may last until the hammer is lifted.
   const ContactReport& contact = observer_.step(knot_time(sync_), sample_);
   for (int i = 0; i < dof_; ++i) {
     const NodeMeasurement& measured = nodes_[at(i)].measured();
@@ -361,6 +372,12 @@ void Supervisor::advance_activity() noexcept {
       abort_swing(AbortReason::stop_requested);
     }
   }
+  if (activity_ == Activity::approaching || activity_ == Activity::dwelling || activity_ == Activity::swinging ||
+      activity_ == Activity::returning) {
+    const bool may_be_passive = activity_ == Activity::swinging && selection_ != Selection::none;
+    astray_cycles_ = all_follow(may_be_passive ? program_.passive : 0U) ? 0 : astray_cycles_ + 1;
+    if (astray_cycles_ >= kAstrayCycles) abort_swing(AbortReason::not_following);
+  }
   switch (activity_) {
     case Activity::bringing_up:
     case Activity::holding:
@@ -385,14 +402,16 @@ void Supervisor::advance_activity() noexcept {
     case Activity::swinging:
       if (selection_ == Selection::in_force) {
         const bool time_is_up = now_ >= outcome_.switch_effective + program_.passive_time;
-        if (contact_phase_ == ContactPhase::over || time_is_up) begin_resume();
+        const double depth_m =
+            (program_.head_position_m - chain_.face_pose(sample_.q).position_m).dot(program_.normal);
+        if (contact_phase_ == ContactPhase::over || time_is_up || depth_m >= program_.follow_through_m) begin_resume();
       } else if (motion_ended()) {
         // The report is closed by the time the arm is back; a blow still open then has ended by leaving.
         finish_swing();
       }
       break;
     case Activity::resuming: {
-      bool still = all_active() && motion_ended();
+      bool still = all_follow() && motion_ended();
       for (int i = 0; i < dof_; ++i) {
         if (!(std::abs(nodes_[at(i)].measured().velocity_rad_s) < config_.settled_rad_s)) still = false;
       }
@@ -408,7 +427,7 @@ void Supervisor::advance_activity() noexcept {
       if (motion_ended()) finish_swing();
       break;
     case Activity::stopping:
-      if (motion_ended() && all_active()) {
+      if (motion_ended()) {
         activity_ = Activity::holding;
         outcome_.contact = observer_.report();
         outcome_.done = true;
@@ -520,18 +539,22 @@ void Supervisor::finish_swing() noexcept {
 
 void Supervisor::stream_knots(can::TransmitQueue& tx) noexcept {
   const std::int64_t knot = sync_ + kKnotsAhead;
-  if (activity_ != Activity::bringing_up) {
-    motion_.sample(sync_period_ * (knot - motion_start_), reference_);
-    // Who is passive, or just came back and has not settled, is led by nobody: its own position is echoed, so that it
-    // takes over from where it is.
-    if (activity_ == Activity::resuming) {
-      for (int i = 0; i < dof_; ++i) {
-        if (((program_.passive >> static_cast<unsigned>(i)) & 1U) == 0) continue;
-        reference_.q[i] = nodes_[at(i)].measured().position_rad;
-        reference_.qd[i] = 0.0;
-        reference_.qdd[i] = 0.0;
-      }
+  const JointVector before = reference_.q;
+  if (activity_ != Activity::bringing_up) motion_.sample(sync_period_ * (knot - motion_start_), reference_);
+  for (int i = 0; i < dof_; ++i) {
+    const NodeMeasurement& measured = nodes_[at(i)].measured();
+    const bool was_passive = activity_ == Activity::resuming && ((program_.passive >> static_cast<unsigned>(i)) & 1U) != 0;
+    if (measured.follows_knots()) {
+      // What took over from its own position stays there until the next motion.
+      if (activity_ != Activity::bringing_up && !was_passive) continue;
+      reference_.q[i] = before[i];
+    } else {
+      // Led by nobody (not enabled, passive, or just back): its own position is echoed, so that it takes over from
+      // where it is.
+      reference_.q[i] = measured.position_rad;
     }
+    reference_.qd[i] = 0.0;
+    reference_.qdd[i] = 0.0;
   }
   ++knot_sequence_;
   // What the links will ask of the transmissions: the feedforward of modules without a torque sensor.
@@ -540,16 +563,9 @@ void Supervisor::stream_knots(can::TransmitQueue& tx) noexcept {
     const NodeProxy& node = nodes_[at(i)];
     if (node.stage() != NodeStage::enabled || !node.measured().valid) continue;
     const std::uint8_t id = node.settings().node_id;
-    double q = reference_.q[i];
-    double qd = reference_.qd[i];
-    double qdd = reference_.qdd[i];
-    if (activity_ == Activity::bringing_up) {
-      q = node.measured().position_rad;
-      qd = qdd = 0.0;
-    }
-    const auto position = can::urad_from_rad(q);
-    const auto velocity = can::urad_s_from_rad_s(qd);
-    const auto acceleration = can::mrad_s2_from_rad_s2(qdd);
+    const auto position = can::urad_from_rad(reference_.q[i]);
+    const auto velocity = can::urad_s_from_rad_s(reference_.qd[i]);
+    const auto acceleration = can::mrad_s2_from_rad_s2(reference_.qdd[i]);
     const auto rated_mnm = static_cast<std::uint32_t>(std::lround(node.settings().rated_torque_nm * 1e3));
     const auto torque = can::permille_from_nm(model_torque[i], rated_mnm);
     // A knot that is not a number is not sent: the module's watchdog then stops the joint.

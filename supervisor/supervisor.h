@@ -74,6 +74,7 @@ using EventQueue = StaticVector<Event, 64>;
 enum class AbortReason : std::uint8_t {
   none,
   not_acknowledged,  ///< a module did not acknowledge the selection in time
+  not_following,     ///< a joint that should follow its knots does not
   condition,         ///< the approach was not the planned one; see SwingOutcome::switch_state
   joint_fault,
   stop_requested,
@@ -102,6 +103,9 @@ struct SwingProgram {
   Duration switch_time;
   Duration passive_time;
   std::uint32_t passive = 0;  ///< bit i: joint i
+  Eigen::Vector3d head_position_m = Eigen::Vector3d::Zero();
+  Eigen::Vector3d normal = Eigen::Vector3d::UnitZ();
+  double follow_through_m = 0.0;  ///< a passive arm that sinks deeper than this past the head is caught
   JointVector q_back_swing;
 };
 [[nodiscard]] SwingProgram program_of(const StrikePlan& plan);
@@ -159,7 +163,8 @@ class Supervisor {
   [[nodiscard]] bool all_acknowledged() const noexcept;
   [[nodiscard]] Time knot_time(std::int64_t knot) const noexcept { return first_sync_ + sync_period_ * knot; }
   [[nodiscard]] bool motion_ended() const noexcept;
-  [[nodiscard]] bool all_active() const noexcept;
+  /// All joints but those in `except` (bit i) are led by knots.
+  [[nodiscard]] bool all_follow(std::uint32_t except = 0) const noexcept;
 
   RobotDescription robot_;
   SupervisorConfig config_;
@@ -195,6 +200,7 @@ class Supervisor {
   SwingOutcome outcome_;
   ContactPhase contact_phase_ = ContactPhase::none;
   int still_cycles_ = 0;
+  int astray_cycles_ = 0;
 
   enum class Selection : std::uint8_t { none, waiting, armed, in_force, releasing };
   Selection selection_ = Selection::none;

@@ -61,6 +61,9 @@ struct NodeMeasurement {
   std::int8_t mode_display = 0;
   std::uint8_t selection_acknowledged = 0;
   std::uint16_t error_or_limit = 0;
+
+  /// In cyclic position mode and led by knots: statusword bit 12.
+  [[nodiscard]] bool follows_knots() const noexcept { return mode_display == 8 && (statusword & 0x1000U) != 0; }
 };
 
 class NodeProxy {
