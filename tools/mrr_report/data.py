@@ -2,11 +2,11 @@
 
 import json
 import pathlib
+import warnings
 
 import numpy as np
 
 SCHEMA_VERSION = 1
-SWINGING, RESUMING, RETURNING = 5, 6, 7  # sup::Activity in telemetry's `activity`
 
 
 class ReportError(Exception):
@@ -35,7 +35,9 @@ class Telemetry:
             with open(path, encoding="utf-8") as file:
                 header = file.readline().strip()
                 self._columns = {name.split(" [")[0]: k for k, name in enumerate(header.split(","))}
-                rows = np.loadtxt(file, delimiter=",", ndmin=2)
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")  # of an empty file, which is an error of ours below
+                    rows = np.loadtxt(file, delimiter=",", ndmin=2)
         except OSError as error:
             raise ReportError(f"{path}: cannot be read: {error.strerror}") from None
         except ValueError as error:

@@ -25,6 +25,14 @@ def colours(swings):
     return [style.swing_colour(k, len(swings)) for k in range(len(swings))]
 
 
+def swing_axis(ax, entries):
+    """One place per swing; bars of few swings are not blown up."""
+    count, room = len(entries), max(0, 4 - len(entries)) / 2
+    ax.set(xlabel="swing", xticks=range(count), xlim=(-0.6 - room, count - 0.4 + room))
+    ax.set_xticklabels([str(entry["number"]) for entry in entries])
+    ax.grid(axis="x", visible=False)
+
+
 def shade_contact(ax, hits, label=True):
     """From first touch to the mean end of contact."""
     end_ms = 1e3 * np.mean([swing.contact_s for swing in hits])
@@ -164,13 +172,14 @@ def draw_nail_height(ax, run):
     numbers = np.arange(len(really))
     ax.axhspan(-0.09 * really[0], 0, color=style.WOOD, lw=0)
     ax.vlines(numbers, 0, really, color=style.INK, lw=2.2, zorder=3)
-    ax.plot(numbers, really, "_", ms=16, mec=style.INK, mew=3, zorder=3, label="really")
-    ax.plot(numbers[1:], believed, "o", ms=7, mfc="none", mec=style.ORANGE, mew=1.5, label="the robot's estimate",
+    ax.plot(numbers, really, "_", ms=16, color=style.INK, mew=3, zorder=3, label="really")
+    ax.plot(numbers[1:], believed, "o", ms=7, mfc="none", color=style.ORANGE, mew=1.5, label="the robot's estimate",
             zorder=4)
     for number, height in zip(numbers, really):
         ax.annotate(f"{height:.1f}", (number, height), xytext=(0, 8), textcoords="offset points", ha="center",
                     fontsize=8)
-    ax.set_xlim(-0.6, len(really) - 0.4)
+    room = max(0, 4 - len(really)) / 2
+    ax.set_xlim(-0.6 - room, len(really) - 0.4 + room)
     ax.set(xlabel="after swing", ylabel="nail above the board [mm]", ylim=(-0.09 * really[0], 1.18 * max(really)),
            xticks=numbers if len(numbers) <= 13 else numbers[::2])
     ax.set_xticklabels(["start" if number == 0 else str(number) for number in ax.get_xticks()])
@@ -207,10 +216,8 @@ def draw_impulses(ax, run):
         ax.bar(numbers + (k - 1) * 0.27, [entry[key] for entry in entries], 0.25, color=colour, label=label, zorder=3)
     ax.bar(numbers + 0.27, [entry["seen_by_robot"]["impulse_n_s"] for entry in entries], 0.25, color=style.ORANGE,
            label="the robot's estimate", zorder=3)
-    ax.set(xlabel="swing", ylabel="impulse [N s]", xticks=numbers)
-    ax.set_xticklabels([str(entry["number"]) for entry in entries])
-    ax.set_ylim(top=1.2 * ax.get_ylim()[1])
-    ax.grid(axis="x", visible=False)
+    ax.set(ylabel="impulse [N s]", ylim=(0, 1.2 * ax.get_ylim()[1]))
+    swing_axis(ax, entries)
     ax.legend(loc="upper right", ncols=3, columnspacing=1.0)
     ax.set_title("Impulse of each blow")
 
@@ -289,10 +296,8 @@ def draw_torque_shares(ax, run, other=None):
     ax.axhline(100, color=style.INK, lw=1.1)
     ax.annotate("repeated peak", (1, 100), xycoords=("axes fraction", "data"), xytext=(-2, 2),
                 textcoords="offset points", ha="right", va="bottom", fontsize=8)
-    ax.set(xlabel="swing", ylabel="peak torque in contact\n[% of repeated peak]", xticks=numbers)
-    ax.set_xticklabels([str(entry["number"]) for entry in entries])
-    ax.set_ylim(0, max(118, 1.08 * ax.get_ylim()[1]))
-    ax.grid(axis="x", visible=False)
+    ax.set(ylabel="peak torque in contact\n[% of repeated peak]", ylim=(0, max(118, 1.08 * ax.get_ylim()[1])))
+    swing_axis(ax, entries)
     legend_below(ax)
     ax.set_title("Peak torque of every blow against the gears' limits")
 

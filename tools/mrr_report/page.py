@@ -327,8 +327,8 @@ def run_sections(run, other):
         quiet = {joint for joint in run.joints if not run.moving(joint) and run.ever_passive(joint)}
         followed = [joint for joint in run.joints if joint not in quiet]
         parts.append(section("How the joints move", grid(
-            figure("velocity", f"Blow {hardest.number}. A motor that is held reverses and fights the blow; a passive one "
-                   "is carried along.", lambda ax: figures.draw_motor_velocity(ax, run, hardest)),
+            figure("velocity", f"Motor velocities through blow {hardest.number}, the one with the largest impulse; "
+                   "dotted: when the joint went passive and came back.", lambda ax: figures.draw_motor_velocity(ax, run, hardest)),
             *(figure(f"error{k}", f"How far {figures.joint_label(joint)} lags behind its reference; shaded: contact.",
                      lambda ax, j=joint: figures.draw_position_error(ax, run, j)) for k, joint in enumerate(followed)))))
     else:
