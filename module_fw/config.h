@@ -61,11 +61,14 @@ struct ControlConfig {
 
 /// Passive law and the change between the laws.
 struct PassiveConfig {
-  float compensation_nm = 0.0F;             ///< f_m, below the Coulomb friction
-  float moving_velocity_rad_s = 0.02F;      ///< at and above it the trend is the motion alone
-  float torque_dead_band_nm = 1.0F;         ///< at rest: sensed torque below it says nothing
-  float torque_full_trend_nm = 2.0F;        ///< at rest: sensed torque from which the trend is whole; > dead band
-  float trend_rate_1_s = 200.0F;            ///< fastest change of the trend (-1 .. 1)
+  float compensation_nm = 0.0F;         ///< f_m, below the Coulomb friction
+  float still_velocity_rad_s = 0.02F;   ///< slower than this may be elastic micro-motion: it says nothing
+  float moving_velocity_rad_s = 0.05F;  ///< at and above it the trend is the motion alone
+  float torque_dead_band_nm = 1.0F;     ///< at rest: sensed torque below it says nothing
+  float torque_full_trend_nm = 5.0F;  ///< at rest: sensed torque from which the trend is whole; at least f_m above the
+                                      ///< dead band, or torque and trend chase each other
+  float trend_rate_1_s =
+      50.0F;  ///< fastest change of the trend (-1 .. 1); faster ones shake the joint loose by themselves
   Duration blend = milliseconds(3);         ///< active torque fades into passive torque
   float resume_torque_slew_nm_s = 2000.0F;  ///< coming back
   Duration max_time = milliseconds(500);    ///< then active again by itself

@@ -68,7 +68,8 @@ bool usable(const ModuleConfig& c) noexcept {
   }
   const PassiveConfig& p = c.passive;
   ok = ok && not_negative(p.compensation_nm) && p.compensation_nm <= kMaxCompensationShare * f.coulomb_nm &&
-       positive(p.moving_velocity_rad_s) && not_negative(p.torque_dead_band_nm) &&
+       not_negative(p.still_velocity_rad_s) && p.moving_velocity_rad_s > p.still_velocity_rad_s &&
+       is_finite(p.moving_velocity_rad_s) && not_negative(p.torque_dead_band_nm) &&
        p.torque_full_trend_nm > p.torque_dead_band_nm && is_finite(p.torque_full_trend_nm) &&
        positive(p.trend_rate_1_s) && positive(p.resume_torque_slew_nm_s) && positive(p.max_travel_rad) &&
        p.blend.ns >= 0 && p.max_time.ns >= 0;

@@ -28,14 +28,14 @@ inline float friction_torque(const FrictionConfig& f, const FrictionRegressor& Y
   return f.viscous_nm_s_rad * Y.viscous + f.coulomb_nm * Y.coulomb + f.static_nm * Y.stat;
 }
 
-/// Direction in which friction is compensated, in [-1, 1], continuous: nothing while the reference rests; when it moves,
-/// that of the motion where the encoder can tell it, below that of the reference.
-/// Why nothing at rest: following the sign of the measured motion there takes away the very friction that damps the
-/// elastic drive. A simulated joint (4.6 Nm friction, 8400 Nm/rad) then swung at 24 Hz with 10 Nm, and on one encoder
-/// count the torque rattled by 5 Nm.
+/// Direction in which friction is compensated, in [-1, 1], continuous: nothing while the reference rests; when it
+/// moves, that of the motion where the encoder can tell it, below that of the reference. Why nothing at rest: following
+/// the sign of the measured motion there takes away the very friction that damps the elastic drive. A simulated joint
+/// (4.6 Nm friction, 8400 Nm/rad) then swung at 24 Hz with 10 Nm, and on one encoder count the torque rattled by 5 Nm.
 inline float motion_direction(float velocity, float reference_velocity, const ControlConfig& c) noexcept {
   const float r = sat(reference_velocity / c.reference_still_rad_s);
-  const float beyond = (absolute(velocity) - c.still_velocity_rad_s) / (c.moving_velocity_rad_s - c.still_velocity_rad_s);
+  const float beyond =
+      (absolute(velocity) - c.still_velocity_rad_s) / (c.moving_velocity_rad_s - c.still_velocity_rad_s);
   const float seen = limit(beyond, 0.0F, 1.0F);
   return absolute(r) * seen * sign(velocity) + (1.0F - seen) * r;
 }

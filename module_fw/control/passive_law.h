@@ -32,7 +32,7 @@ class PassiveLaw {
   [[nodiscard]] float wanted_trend(const Evidence& evidence) const noexcept;
 
   PassiveConfig config_;
-  float inverse_moving_velocity_;
+  float inverse_velocity_span_;
   float inverse_torque_span_;
   float max_change_;
   float trend_ = 0.0F;

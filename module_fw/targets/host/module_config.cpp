@@ -60,8 +60,8 @@ std::uint32_t configuration_hash(const ModuleConfig& c) {
           k.compensator.robust_width[i]);
   }
   const PassiveConfig& p = c.passive;
-  h.all(p.compensation_nm, p.moving_velocity_rad_s, p.torque_dead_band_nm, p.torque_full_trend_nm, p.trend_rate_1_s,
-        p.blend, p.resume_torque_slew_nm_s, p.max_time, p.max_travel_rad);
+  h.all(p.compensation_nm, p.still_velocity_rad_s, p.moving_velocity_rad_s, p.torque_dead_band_nm,
+        p.torque_full_trend_nm, p.trend_rate_1_s, p.blend, p.resume_torque_slew_nm_s, p.max_time, p.max_travel_rad);
   const ReferenceConfig& r = c.reference;
   h.all(r.stop_deceleration_rad_s2, r.quick_stop_deceleration_rad_s2, r.settle_rate_1_s, r.resync_window_rad,
         r.resync_velocity_rad_s, r.offset_decay_1_s);
@@ -124,9 +124,9 @@ ModuleConfig module_config(const RobotDescription& robot, int joint) {
   c.passive.max_travel_rad = narrow(j.control.max_passive_travel_rad);
   // At rest the sensed torque tells the trend only beyond its own noise and drift.
   c.passive.torque_dead_band_nm = narrow(std::max(1.0, 6.0 * j.sensors.torque_noise_nm + 0.5));
-  c.passive.torque_full_trend_nm = 2.0F * c.passive.torque_dead_band_nm;
+  c.passive.torque_full_trend_nm = c.passive.torque_dead_band_nm + std::max(1.0F, c.passive.compensation_nm);
 
-  c.reference.stop_deceleration_rad_s2 = narrow(0.8 * j.limits.acceleration_rad_s2);
+  c.reference.stop_deceleration_rad_s2 = narrow(0.4 * j.limits.acceleration_rad_s2);
   c.reference.quick_stop_deceleration_rad_s2 = narrow(j.limits.acceleration_rad_s2);
 
   c.drive.gear_ratio = narrow(j.transmission.gear_ratio);

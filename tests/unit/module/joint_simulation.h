@@ -70,6 +70,7 @@ inline ModuleConfig module_config(const JointParameters& p, bool base = false) {
                      0.06F};
   }
   c.passive.compensation_nm = static_cast<float>(0.75 * p.static_nm);
+  c.passive.torque_full_trend_nm = c.passive.torque_dead_band_nm + c.passive.compensation_nm;
   c.limits.torque_nm = base ? 110.0F : 45.0F;
   c.limits.lower_rad = -2.5F;
   c.limits.upper_rad = 2.5F;
