@@ -75,7 +75,7 @@ def swing_poses(run, swing):
     return [ArmPose(run.result["geometry"], q[row]) for row in rows], path
 
 
-def label_joint(ax, at, chain, joint, passive):
+def label_joint(ax, at, chain, text, passive):
     """The joint's name on the side where no link is."""
     away = np.zeros(2)
     for point in chain:
@@ -87,7 +87,7 @@ def label_joint(ax, at, chain, joint, passive):
         away = np.array([-0.8, 0.8])  # clear of the base
     align = "center" if abs(away[0]) < 0.5 else ("left" if away[0] > 0 else "right")
     level = "center" if abs(away[1]) < 0.5 else ("bottom" if away[1] > 0 else "top")
-    ax.annotate(f"{joint_label(joint)}\n{'passive' if passive else 'active'}", at, xytext=10 * away,
+    ax.annotate(text, at, xytext=10 * away,
                 textcoords="offset points", ha=align, va=level, fontsize=8, linespacing=1.15, zorder=23,
                 color=style.BLUE if passive else style.INK, bbox={"fc": style.PAPER, "ec": "none", "alpha": 0.8,
                                                                   "pad": 0.6})
@@ -151,7 +151,8 @@ def draw_arm(ax, run, swing):
         else:
             ax.plot(*at, "o", ms=8.5, mfc=style.PAPER if passive else style.INK,
                     mec=style.BLUE if passive else style.INK, mew=2.2 if passive else 1, zorder=22)
-        label_joint(ax, at, others, joint, passive)
+        text = f"{joint_label(joint)}\n{'passive' if passive else 'active'}"
+        label_joint(ax, at, others, text if len(run.joints) <= 4 else joint_label(joint), passive)
     ax.annotate("back-swing", trail[0], xytext=(7, 4), textcoords="offset points", fontsize=8, color=style.ORANGE)
     ax.annotate(f"nail {1e3 * before_m:.0f} mm proud,\ndriven {swing.entry['penetration_mm']:.1f} mm", hole,
                 xytext=(0, -21), textcoords="offset points", fontsize=8, ha="center", va="top", color=style.INK)
@@ -356,23 +357,34 @@ def draw_motor_velocity(ax, run, swing):
 # ------------------------------------------------------------------------------------------------------- experiment
 
 
-def draw_experiment(ax, series, quantity, label):
-    """Published against simulated, one point per swing; on the line they agree."""
+def draw_experiment(ax, series, quantity, label, share, least):
+    """Published against simulated, one mark per swing: on the line they agree, in the band within the tolerance (`share`
+    of the published value, at least `least`). A bar spans what was published where swings cannot be told apart."""
     largest = 0.0
     markers = (("o", style.BLUE), ("s", style.ORANGE), ("^", style.GREEN))
     for (marker, colour), board in zip(markers, series):
-        pairs = [(s["published"][quantity], s[quantity]) for s in board["swings"]]
-        pairs = [(p, s) for p, s in pairs if p is not None and s is not None]
-        if pairs:
-            published, simulated = np.array(pairs).T
-            ax.plot(published, simulated, marker, color=colour, ms=6, mec=style.PAPER, mew=0.7, label=board["board"],
+        points = [(s["published"][quantity], s[quantity]) for s in board["swings"]]
+        points = [(p, s) for p, s in points if p is not None and s is not None]
+        span = board.get(f"measured_{quantity}")
+        if span:
+            heights = [s[quantity] for s in board["swings"] if s[quantity] is not None]
+            ax.hlines(heights, *span, color=colour, lw=2.5, label=board["board"], zorder=3)
+            largest = max([largest, span[1]] + heights)
+        elif points:
+            published, simulated = np.array(points).T
+            ax.plot(published, simulated, marker, color=colour, ms=6.5, mec=style.PAPER, mew=0.7, label=board["board"],
                     zorder=4)
             largest = max(largest, published.max(), simulated.max())
     largest = 1.1 * largest or 1.0
-    ax.plot([0, largest], [0, largest], color=style.INK, lw=1.0, zorder=2)
+    line = np.linspace(0, largest, 50)
+    width = np.maximum(share * line, least)
+    ax.fill_between(line, line - width, line + width, color=style.SHADE, lw=0, zorder=0)
+    ax.plot(line, line, color=style.INK, lw=1.0, zorder=2)
     ax.set(xlabel=f"published {label}", ylabel=f"simulated {label}", xlim=(0, largest), ylim=(0, largest))
+    ax.locator_params(nbins=6)
     ax.set_aspect("equal")
-    ax.legend(loc="lower right")
+    if ax.get_legend_handles_labels()[0]:
+        ax.legend(loc="lower right")
 
 
 # ----------------------------------------------------------------------------------------------------------- README

@@ -64,8 +64,8 @@ def table(head, rows, caption="", mark=()):
             "</table></div>")
 
 
-def grid(*parts):
-    return f'<div class="grid">{"".join(parts)}</div>'
+def grid(*parts, kind="grid"):
+    return f'<div class="{kind}">{"".join(parts)}</div>'
 
 
 def section(title, *parts):
@@ -135,7 +135,7 @@ def torque_in_words(run, joint):
             f"{fixed(100 * peak / blows[0]['repeated_peak_nm'], 0)} % of the repeated peak.")
     if leads:
         text += f" Wholly passive {span(leads, 1, 'ms')} before first touch."
-    return text
+    return sentence(text)
 
 
 def comparison_in_words(run, other):
@@ -235,11 +235,16 @@ def experiment_section(experiment):
     series = experiment["series"]
     quantities = (("contact_ms", "contact [ms]", 0), ("impulse_n_s", "impulse [N s]", 2),
                   ("penetration_mm", "penetration [mm]", 1), ("effective_mass_kg", "effective mass M* [kg]", 1))
-    parts = [paragraph("All swings are within the tolerances." if experiment.get("reproduced") else
-                       "Not all swings are within the tolerances; the table says which.")]
-    parts.append(grid(*(figure(f"experiment{k}", f"Published and simulated {label}. On the line they agree.",
-                               lambda ax, q=quantity, l=label: figures.draw_experiment(ax, series, q, l), (3.6, 3.4))
-                        for k, (quantity, label, _) in enumerate(quantities[:3]))))
+    within = [swing["within"] for board in series for swing in board["swings"]]
+    words = "All swings are" if all(within) else f"{sum(within)} of {len(within)} swings are"
+    parts = [f"<p class='verdict {'pass' if all(within) else 'fail'}'>"
+             + escape(f"{words} within the tolerances: contact 15 %, impulse 25 %, penetration 10 % or 0.5 mm.") + "</p>"]
+    tolerances = ((0.15, 0.0), (0.25, 0.0), (0.10, 0.5))
+    parts.append(grid(*(figure(f"experiment{k}", f"Published and simulated {label.split(' [')[0]}. On the line they "
+                               "agree, in the band within the tolerance.", lambda ax, q=quantity, l=label, t=tolerance:
+                               figures.draw_experiment(ax, series, q, l, *t), (3.5, 3.3))
+                        for k, ((quantity, label, _), tolerance) in enumerate(zip(quantities, tolerances))),
+                      kind="grid small-figures"))
     for board in series:
         head = ["swing", "reference past head [mm]"]
         for _, label, _ in quantities:
@@ -283,8 +288,9 @@ border-top:1px solid GRID}p{margin:.4rem 0 .8rem;max-width:46rem}
 dl{display:grid;grid-template-columns:repeat(auto-fit,minmax(9.5rem,1fr));gap:.6rem 1.4rem;margin:1.2rem 0 0}
 dl div{border-top:2px solid INK;padding-top:.3rem}dt{color:MUTED;font-size:.85rem}dd{margin:0}dd b{display:block;
 font-size:1.45rem;line-height:1.3}dd span{font-size:.82rem;line-height:1.35;color:MUTED;display:block}
+.grid.small-figures{grid-template-columns:repeat(auto-fill,minmax(min(100%,17rem),1fr))}
 .grid{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(100%,24rem),1fr));gap:1.4rem 1.8rem;align-items:start}
-figure{margin:0}figure svg{display:block;width:100%;height:auto;max-width:48rem}figcaption{font-size:.86rem;color:MUTED;line-height:1.4;
+figure{margin:0}figure svg{display:block;width:100%;height:auto;max-width:48rem}ul{padding-left:1.2rem}figcaption{font-size:.86rem;color:MUTED;line-height:1.4;
 margin-top:.2rem}
 .scroll{overflow-x:auto;margin:.8rem 0 1.2rem}table{border-collapse:collapse;font-size:.86rem;
 font-variant-numeric:tabular-nums}th,td{padding:.28rem .7rem;text-align:left;border-bottom:1px solid GRID;
@@ -294,6 +300,11 @@ padding-bottom:.3rem}.mark td{font-weight:600;background:SHADE}summary{cursor:po
 @media print{body{max-width:none;font-size:10.5pt}figure,tr{break-inside:avoid}h2{break-after:avoid}
 .scroll{overflow:visible}table{font-size:7.5pt}th,td{padding:.15rem .3rem;min-width:0}th{min-width:0}}
 """
+
+
+FILES = (("result.json", "everything above as numbers"), ("experiment.json", "the experiment as numbers"),
+         ("telemetry.csv", "one row per millisecond"),
+         ("bus.log", "every CAN frame; <code>canplayer</code> and python-can read it"))
 
 
 def stylesheet():
@@ -322,7 +333,7 @@ def run_sections(run, other):
                    for k, joint in enumerate(run.joints)]
         shares = figure("shares", "Largest torque of each joint while in contact, per blow; the mark on a bar is the "
                         "rated torque.", lambda ax: figures.draw_torque_shares(ax, run, other))
-        words = paragraph(comparison_in_words(run, other)) if other is not None and other.hit_entries else ""
+        words = paragraph(sentence(comparison_in_words(run, other))) if other is not None and other.hit_entries else ""
         parts.append(section("What the gears carry", words, grid(*torques, shares)))
         quiet = {joint for joint in run.joints if not run.moving(joint) and run.ever_passive(joint)}
         followed = [joint for joint in run.joints if joint not in quiet]
@@ -359,9 +370,8 @@ def html(folder, compare_folder=None):
         if not parts:
             parts.append(f"<header><p class=kicker>MRR hammering report</p><h1>{escape(experiment['robot'])}</h1></header>")
         parts.append(experiment_section(experiment))
-    files = ("<p><code>result.json</code>: everything above as numbers. <code>telemetry.csv</code>: one row per "
-             "millisecond. <code>bus.log</code>: every CAN frame; <code>canplayer</code> and python-can read it.</p>")
-    parts.append(section("Files beside this one", files))
+    files = "".join(f"<li><code>{name}</code>: {what}</li>" for name, what in FILES if (folder / name).is_file())
+    parts.append(section("Files beside this one", f"<ul>{files}</ul>"))
     return (f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><meta name="viewport" '
             f'content="width=device-width,initial-scale=1"><title>{escape(title)}</title><style>{stylesheet()}</style>'
             f"</head><body>{''.join(parts)}</body></html>\n")
