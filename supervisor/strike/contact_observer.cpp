@@ -30,7 +30,7 @@ ContactObserver::ContactObserver(const RobotDescription& robot, const Chain& cha
 
 void ContactObserver::reset(const Eigen::Vector3d& normal) noexcept {
   normal_ = normal;
-  has_last_ = false;
+  seen_ = 0;
   residual_.setZero(chain_->dof());
   force_n_ = threshold_n_ = baseline_n_ = variance_n2_ = seen_s_ = rising_s_ = 0.0;
   low_samples_ = 0;
@@ -39,77 +39,67 @@ void ContactObserver::reset(const Eigen::Vector3d& normal) noexcept {
   report_ = {};
 }
 
-ContactObserver::Instant ContactObserver::evaluate(Time now, const ContactSample& sample) const noexcept {
-  Instant at;
-  at.time = now;
-  const int n = chain_->dof();
-  at.flexion.resize(n);
-  for (int i = 0; i < n; ++i) at.flexion[i] = flexion_rad(drive_[static_cast<std::size_t>(i)], sample.torque_nm[i]);
-  at.q = sample.q - at.flexion;
-  at.qd = sample.qd;
-  if (has_last_) at.qd -= (at.flexion - last_.flexion) / (now - last_.time).seconds();
-  const ChainPose pose = chain_->pose(at.q);
-  at.M = chain_->mass_matrix(pose);
-  at.bias_less_torque = chain_->bias(at.q, at.qd) - sample.torque_nm;
-  at.J_n = chain_->jacobian(pose).topRows<3>().transpose().lazyProduct(normal_);
-  at.face = pose.face.position_m;
-  return at;
-}
-
-double ContactObserver::force_along_normal(const Instant& at, const JointVector& torque) const noexcept {
-  const JointVector y = at.M.llt().solve(at.J_n);  // M^-1 J^T n
-  const double mobility = at.J_n.dot(y);
-  return mobility > 1e-9 ? y.dot(torque) / mobility : 0.0;
-}
-
 const ContactReport& ContactObserver::step(Time now, const ContactSample& sample) noexcept {
-  const Eigen::Index n = chain_->dof();
-  const bool usable = sample.q.size() == n && sample.qd.size() == n && sample.torque_nm.size() == n &&
-                      sample.q.allFinite() && sample.qd.allFinite() && sample.torque_nm.allFinite() &&
-                      (!has_last_ || now > last_.time);
+  const int n = chain_->dof();
+  const bool usable = sample.q.size() == n && sample.torque_nm.size() == n && sample.q.allFinite() &&
+                      sample.torque_nm.allFinite() && (seen_ == 0 || now > last_.time);
   if (!usable) {
     ++skipped_;
     return report_;
   }
-  if (has_last_ && !((now - last_.time).seconds() <= config_.max_gap_s)) {
-    has_last_ = false;
+  if (seen_ > 0 && !((now - last_.time).seconds() <= config_.max_gap_s)) {
+    seen_ = 0;
     history_.clear();
     residual_.setZero();
   }
-  const Instant at = evaluate(now, sample);
-  if (!has_last_) {
+  Instant at;
+  at.time = now;
+  at.torque = sample.torque_nm;
+  at.q = sample.q;
+  for (int i = 0; i < n; ++i) at.q[i] -= flexion_rad(drive_[static_cast<std::size_t>(i)], at.torque[i]);
+  at.face = chain_->face_pose(at.q).position_m;
+  if (seen_ < 2) {
+    before_last_ = last_;
     last_ = at;
-    has_last_ = true;
+    ++seen_;
     return report_;
   }
 
-  // p' = tau_s + M' q' - h + J^T F over the interval; integral of M' q' = (change of M) (mean q').
-  const double dt = (now - last_.time).seconds();
-  const JointVector mean_qd = 0.5 * (at.qd + last_.qd);
-  const JointMatrix change = at.M - last_.M;
-  JointVector external = at.M.lazyProduct(at.qd);
-  external -= last_.M.lazyProduct(last_.qd);
-  external -= change.lazyProduct(mean_qd);
-  external /= dt;
-  external += 0.5 * (at.bias_less_torque + last_.bias_less_torque);
+  // Around the middle one of three samples: from half a period before it to half a period after it.
+  const double dt_before = (last_.time - before_last_.time).seconds();
+  const double dt_after = (now - last_.time).seconds();
+  const double dt = 0.5 * (dt_before + dt_after);
+  const JointVector qd_before = (last_.q - before_last_.q) / dt_before;
+  const JointVector qd_after = (at.q - last_.q) / dt_after;
+  const JointVector qd = 0.5 * (qd_before + qd_after);
+  const JointVector qdd = (qd_after - qd_before) / dt;
+  const ChainPose pose = chain_->pose(last_.q);
+  // Mean of the torque over the interval, if it goes linearly from sample to sample.
+  JointVector external = -0.75 * last_.torque - 0.125 * (before_last_.torque + at.torque);
+  external += chain_->inverse_dynamics(pose, qd, qdd);
   residual_ += (1.0 - std::exp(-config_.residual_gain_1_s * dt)) * (external - residual_);
 
+  const JointVector J_n = chain_->jacobian(pose).topRows<3>().transpose().lazyProduct(normal_);
+  const JointVector y = chain_->mass_matrix(pose).llt().solve(J_n);  // M^-1 J^T n
+  const double mobility = J_n.dot(y);
+  const auto along_normal = [&](const JointVector& torque) { return mobility > 1e-9 ? y.dot(torque) / mobility : 0.0; };
   Trace trace;
-  trace.time = now;
+  trace.time = last_.time + (now - last_.time) / 2;
   trace.dt_s = dt;
-  trace.force_n = force_along_normal(at, external);
-  trace.speed_m_s = -at.J_n.dot(at.qd);
-  trace.face = at.face;
-  trace.q = at.q;
-  trace.qd = at.qd;
+  trace.force_n = along_normal(external);
+  trace.speed_m_s = -J_n.dot(qd_after);
+  trace.face = 0.5 * (last_.face + at.face);
+  trace.q = 0.5 * (last_.q + at.q);
+  trace.qd = qd_after;
   if (history_.full()) {
     std::move(history_.begin() + 1, history_.end(), history_.begin());
     history_.truncate(kHistory - 1);
   }
   (void)history_.push_back(trace);
+  before_last_ = last_;
   last_ = at;
 
-  const double excess = force_along_normal(at, residual_) - baseline_n_;
+  const double excess = along_normal(residual_) - baseline_n_;
   force_n_ = excess;
   switch (report_.phase) {
     case ContactPhase::none:
@@ -134,27 +124,31 @@ void ContactObserver::before_contact(double excess, double dt) noexcept {
   seen_s_ += dt;
   rising_s_ = settled && excess > config_.release_share * threshold_n_ ? rising_s_ + dt : 0.0;
   if (rising_s_ > 0.0 && rising_s_ < kLongestRiseS) return;
+  // One wild sample is not noise: it enters with no more than the threshold.
+  const double entered = settled ? std::clamp(excess, -threshold_n_, threshold_n_) : excess;
   const double weight = dt / (dt + std::min(seen_s_, config_.baseline_time_s));
-  baseline_n_ += weight * excess;
-  variance_n2_ += weight * (excess * excess - variance_n2_);
+  baseline_n_ += weight * entered;
+  variance_n2_ += weight * (entered * entered - variance_n2_);
+}
+
+/// How much of interval `edge` was spent in contact, 0..1 or more. For a force that grows linearly from (or falls
+/// linearly to) an instant in it, the means of it and of its neighbour inside give x^2 = (f_edge/f_inside)(2x + 1).
+double ContactObserver::share_in_contact(std::size_t edge, std::size_t inside) const noexcept {
+  if (!(over(inside) > 0.0)) return 0.5;
+  const double ratio = std::max(over(edge), 0.0) / over(inside);
+  return ratio + std::sqrt(ratio * ratio + ratio);
 }
 
 void ContactObserver::begin_contact() noexcept {
   // Back to the first interval whose force stands out. history_[first - 1] ends where that interval begins.
   const double low = config_.release_share * threshold_n_;
   std::size_t first = history_.size() - 1;
-  const auto over = [&](std::size_t k) { return history_[k].force_n - baseline_n_; };
   while (first > 1 && over(first - 1) > low) --first;
-
-  // The instant within an interval: for a force that grows linearly from there, of which this and the next interval
-  // show the means f1 and f2, the share x of the interval in contact solves x^2 = (f1/f2)(2x + 1).
-  const auto share_in_contact = [&](std::size_t k) {
-    if (k + 1 >= history_.size() || !(over(k + 1) > 0.0)) return 0.5;
-    const double ratio = std::max(over(k), 0.0) / over(k + 1);
-    return ratio + std::sqrt(ratio * ratio + ratio);
-  };
-  double share = share_in_contact(first);
-  if (share > 1.0 && first > 1) share = share_in_contact(--first);
+  double share = first + 1 < history_.size() ? share_in_contact(first, first + 1) : 0.5;
+  if (share > 1.0 && first > 1) {
+    --first;
+    share = share_in_contact(first, first + 1);
+  }
   share = std::clamp(share, 0.0, 1.0);
 
   const Trace& after = history_[first];
@@ -172,12 +166,9 @@ void ContactObserver::begin_contact() noexcept {
 void ContactObserver::during_contact(const Trace& trace, double excess) noexcept {
   const double force = trace.force_n - baseline_n_;
   const double low = config_.release_share * threshold_n_;
-  if (force < low) {
-    // Contact ended somewhere in the first low interval; its end is where the face left the head.
-    if (low_samples_++ == 0) at_release_ = report_;
-  } else {
-    low_samples_ = 0;
-  }
+  // Contact ended before or in the first of several low intervals.
+  if (force < low && low_samples_++ == 0) at_release_ = report_;
+  if (!(force < low)) low_samples_ = 0;
   report_.impulse_n_s += force * trace.dt_s;
   report_.peak_force_n = std::max(report_.peak_force_n, excess);
   report_.end = trace.time;
@@ -187,11 +178,38 @@ void ContactObserver::during_contact(const Trace& trace, double excess) noexcept
   report_.qd_after = trace.qd;
   report_.speed_after_m_s = trace.speed_m_s;
   if (low_samples_ >= config_.release_samples) {
-    report_ = at_release_;
-    report_.phase = ContactPhase::over;
+    end_contact();
   } else if ((report_.end - report_.start).seconds() > config_.max_contact_s) {
     report_.phase = ContactPhase::over;
   }
+}
+
+void ContactObserver::end_contact() noexcept {
+  // The first low interval is the release_samples-th from the end; the contact ended in it or in the one before.
+  const std::size_t samples = static_cast<std::size_t>(std::max(config_.release_samples, 1));
+  const JointVector qd_after = history_[history_.size() - samples].qd;
+  const double speed_after = history_[history_.size() - samples].speed_m_s;
+  report_ = at_release_;
+  report_.phase = ContactPhase::over;
+  if (history_.size() < samples + 2) return;
+  std::size_t edge = history_.size() - samples;
+  double share = share_in_contact(edge, edge - 1);
+  if (!(over(edge) > 0.0) && edge >= 2) {
+    const double earlier = share_in_contact(edge - 1, edge - 2);
+    if (earlier < 1.0) {
+      --edge;
+      share = earlier;
+    }
+  }
+  share = std::clamp(share, 0.0, 1.0);
+  const Trace& before = history_[edge - 1];
+  const Trace& after = history_[edge];
+  report_.end = before.time + seconds(share * after.dt_s);
+  report_.face_end_m = (1.0 - share) * before.face + share * after.face;
+  report_.penetration_m = normal_.dot(report_.face_start_m - report_.face_end_m);
+  report_.deepest_m = std::max(report_.deepest_m, report_.penetration_m);
+  report_.qd_after = qd_after;
+  report_.speed_after_m_s = speed_after;
 }
 
 }  // namespace mrr::sup

@@ -27,7 +27,7 @@ struct ContactConfig {
 /// One sample, all joints at the same instant (SYNC).
 struct ContactSample {
   JointVector q;          ///< motor side, joint units, rad
-  JointVector qd;         ///< rad/s
+  JointVector qd;         ///< rad/s; carried for logs, the observer takes speeds from q
   JointVector torque_nm;  ///< what the transmission puts on the link (torque sensor), Nm
 };
 
@@ -54,8 +54,10 @@ struct ContactReport {
 /// Torsion of a harmonic drive under a torque, rad: piecewise linear K1, K2, K3, odd.
 [[nodiscard]] double flexion_rad(const TransmissionDescription& drive, double torque_nm) noexcept;
 
-/// Momentum observer on the link side: p = M q', p' = tau_s + M' q' - h + J_h^T F. Link-side position = motor side
-/// minus torsion. The force along the normal is the dynamically consistent one, (J H^-1 r)/(J H^-1 J^T) with H = M.
+/// Momentum observer on the link side, M q'' + h = tau_s + J_h^T F, in its form for samples: the momentum of the
+/// interval before a sample against that of the interval after it, torque and bias in between. Positions only: q' would
+/// have to be of the link, at that instant, unfiltered. Link side = motor side minus torsion. The force along the
+/// normal is the dynamically consistent one, (J M^-1 r)/(J M^-1 J^T). Results lag half a period.
 class ContactObserver {
  public:
   /// `chain` must outlive this; the drives' stiffness is copied.
@@ -77,12 +79,8 @@ class ContactObserver {
   static constexpr std::size_t kHistory = 12;
   struct Instant {
     Time time;
-    JointVector q;                 // link side
-    JointVector qd;                // link side
-    JointVector flexion;           // motor side less link side
-    JointVector bias_less_torque;  // h - tau_s
-    JointMatrix M;
-    JointVector J_n;  // J_h^T n
+    JointVector q;  // link side
+    JointVector torque;
     Eigen::Vector3d face = Eigen::Vector3d::Zero();
   };
   /// The end of an interval, and the mean force in it.
@@ -95,18 +93,20 @@ class ContactObserver {
     JointVector q;
     JointVector qd;
   };
-  [[nodiscard]] Instant evaluate(Time now, const ContactSample& sample) const noexcept;
-  [[nodiscard]] double force_along_normal(const Instant& at, const JointVector& torque) const noexcept;
+  [[nodiscard]] double over(std::size_t k) const noexcept { return history_[k].force_n - baseline_n_; }
+  [[nodiscard]] double share_in_contact(std::size_t edge, std::size_t inside) const noexcept;
   void before_contact(double excess_n, double dt_s) noexcept;
   void begin_contact() noexcept;
   void during_contact(const Trace& trace, double excess_n) noexcept;
+  void end_contact() noexcept;
 
   const Chain* chain_;
   ContactConfig config_;
   std::array<TransmissionDescription, kMaxJoints> drive_{};
   Eigen::Vector3d normal_ = Eigen::Vector3d::UnitZ();
   Instant last_;
-  bool has_last_ = false;
+  Instant before_last_;
+  int seen_ = 0;  // samples held: 0, 1, 2
   JointVector residual_;
   double force_n_ = 0.0;
   double threshold_n_ = 0.0;
