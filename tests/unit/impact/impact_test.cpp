@@ -399,7 +399,7 @@ TEST(FiniteTime, VelocityTermsAreIntegratedAlongTheChangeOfSpeed) {
   const JointVector before = test::random_vector(random, 6, -2.0, 2.0);
   const JointVector after = test::random_vector(random, 6, -2.0, 2.0);
   JointVector expected = JointVector::Zero(6);
-  constexpr int kSlices = 20000;
+  constexpr int kSlices = 5000;
   for (int k = 0; k < kSlices; ++k) {
     const JointVector qd = before + (k + 0.5) / kSlices * (after - before);
     expected += 0.08 / kSlices * chain.bias(q, qd);
