@@ -10,6 +10,7 @@ from .style import plt
 PANEL = (4.7, 3.3)  # inches; two side by side on a desk, one below the other on a phone
 MODE_COLOURS = {"planned": style.BLUE, "never": style.ORANGE, "always": style.PURPLE}
 MODE_LABELS = {"planned": "planned switching", "never": "never passive", "always": "always passive"}
+LABEL_BOX = {"fc": style.PAPER, "ec": "none", "alpha": 0.8, "pad": 0.6}
 POSES = 6  # ghosted poses on the way in
 
 
@@ -89,8 +90,7 @@ def label_joint(ax, at, chain, text, passive):
     level = "center" if abs(away[1]) < 0.5 else ("bottom" if away[1] > 0 else "top")
     ax.annotate(text, at, xytext=10 * away,
                 textcoords="offset points", ha=align, va=level, fontsize=8, linespacing=1.15, zorder=23,
-                color=style.BLUE if passive else style.INK, bbox={"fc": style.PAPER, "ec": "none", "alpha": 0.8,
-                                                                  "pad": 0.6})
+                color=style.BLUE if passive else style.INK, bbox=LABEL_BOX)
 
 
 def draw_arm(ax, run, swing):
@@ -238,7 +238,7 @@ def torque_limits(ax, joint_entry, low, high):
             if side == sign:
                 ax.annotate(f"{name} {value:g} Nm", (0, side * value), xycoords=("axes fraction", "data"),
                             xytext=(3, 2 if side > 0 else -2), textcoords="offset points", ha="left",
-                            va="bottom" if side > 0 else "top", fontsize=8)
+                            va="bottom" if side > 0 else "top", fontsize=8, zorder=6, bbox=LABEL_BOX)
     far = 1.13 * max(repeated, high if sign > 0 else -low)
     near = 1.15 * (low if sign > 0 else high)
     ax.set_ylim(*((min(near, -0.06 * far), far) if sign > 0 else (-far, max(near, 0.06 * far))))

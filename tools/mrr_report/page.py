@@ -79,6 +79,11 @@ def paragraph(text):
 # ---------------------------------------------------------------------------------------------------------- headline
 
 
+def signed_span(percents):
+    low, high = (f"{value:+.0f} %".replace("-", "−") for value in (min(percents), max(percents)))
+    return low if low == high else f"{low} to {high}"
+
+
 def board(result):
     """Its name; a path is shortened to the file's."""
     return pathlib.PurePath(result["board"]).stem
@@ -90,17 +95,20 @@ def headline(run):
     tiles = (
         ("nail", f"{fixed(result['nail_height_mm'], 2)} mm", "flush" if result["flush"] else "not flush"),
         ("swings", len(run.entries), f"from {fixed(result['geometry']['nail_height_mm'], 0)} mm"),
-        ("limits", "kept" if result["within_limits"] else "broken", result["limit_note"] or "no gear above its repeated "
-         "peak, no switch too late"),
+        ("limits", "kept" if result["within_limits"] else "broken", "no gear above its repeated peak, no switch too late"
+         if result["within_limits"] else "see above"),
         ("speed", f"{fixed(result['realtime_factor'], 0)} ×", f"real time; {fixed(result['simulated_s'], 1)} s simulated"),
         ("CAN bus", f"{fixed(100 * result['bus_load'], 0)} %",
          f"loaded; {fixed(100 * result['bus_load_worst_case'], 0)} % computed for the worst case"))
     cards = "".join(f"<div><dt>{escape(name)}</dt><dd><b>{escape(value)}</b><span>{escape(text)}</span></dd></div>"
                     for name, value, text in tiles)
+    verdict = sentence(result["reason"])
+    if not result["within_limits"]:
+        verdict += f" But limits were broken: {sentence(result['limit_note'])}"
     mode = figures.MODE_LABELS[run.mode]
     formulation = ", equations as printed by the reference" if result["formulation"] == "as_printed" else ""
     return (f"<header><p class=kicker>MRR hammering report</p><h1>{escape(result['robot'])} on {escape(board(result))}"
-            f"</h1><p class='verdict {passed}'>{escape(sentence(result['reason']))}</p>"
+            f"</h1><p class='verdict {passed}'>{escape(verdict)}</p>"
             f"<p class=small>{escape(mode)}, seed {result['seed']}{formulation}</p><dl>{cards}</dl></header>")
 
 
@@ -124,7 +132,7 @@ def impulses_in_words(run):
     off = [e["impulse_predicted_n_s"] / e["impulse_measured_n_s"] - 1 for e in run.hit_entries
            if e["impulse_measured_n_s"] > 0]
     return (f"Impulse predicted before each blow, measured, and estimated by the robot. The prediction is off by "
-            f"{span([100 * share for share in off], 0, '%')}.")
+            f"{signed_span([100 * share for share in off])}.")
 
 
 def torque_in_words(run, joint):
@@ -343,10 +351,11 @@ def run_sections(run, other):
             *(figure(f"error{k}", f"How far {figures.joint_label(joint)} lags behind its reference; shaded: contact.",
                      lambda ax, j=joint: figures.draw_position_error(ax, run, j)) for k, joint in enumerate(followed)))))
     else:
-        parts.append(section("No blow", paragraph("No swing hit anything, so there is nothing to draw.")))
+        parts.append(section("No blow", paragraph("Nothing was hit, so there is nothing to draw.")))
     if run.result["plan"]:
         parts.append(section("The plan", plan_tables(run)))
-    parts.append(section("The swings", swings_tables(run)))
+    if run.entries:
+        parts.append(section("The swings", swings_tables(run)))
     if run.result.get("tables"):
         parts.append(reference_tables_section(run.result["tables"]))
     return parts
