@@ -303,9 +303,10 @@ margin-top:.2rem}
 .scroll{overflow-x:auto;margin:.8rem 0 1.2rem}table{border-collapse:collapse;font-size:.86rem;
 font-variant-numeric:tabular-nums}th,td{padding:.28rem .7rem;text-align:left;border-bottom:1px solid GRID;
 vertical-align:top}th{font-weight:600;vertical-align:bottom;border-bottom:1.5px solid INK;min-width:4.2rem;line-height:1.25}
-.n{text-align:right}caption{text-align:left;font-weight:600;
+.n{text-align:right}td.n,td:nth-child(-n+3){white-space:nowrap}caption{text-align:left;font-weight:600;
 padding-bottom:.3rem}.mark td{font-weight:600;background:SHADE}summary{cursor:pointer;margin:.3rem 0}code{font-size:.92em}
-@media print{body{max-width:none;font-size:10.5pt}figure,tr{break-inside:avoid}h2{break-after:avoid}
+@media print{body{max-width:none;font-size:10pt;padding:0}.grid{grid-template-columns:1fr 1fr}.grid.small-figures{
+grid-template-columns:1fr 1fr 1fr}figure,tr{break-inside:avoid}h2{break-after:avoid}
 .scroll{overflow:visible}table{font-size:7.5pt}th,td{padding:.15rem .3rem;min-width:0}th{min-width:0}}
 """
 
