@@ -112,8 +112,9 @@ int run(const HammerArguments& arguments) {
   const double realtime_factor = result.simulated_s / wall_s;
   bar.clear();
 
-  // Nothing was ever hit, so there is nothing to report: the reason is all there is.
-  if (result.swings.empty()) throw PlanError(result.reason);
+  // Nothing was ever swung, so there is nothing to report: the reason is all there is. A session that hung is a defect;
+  // its recordings are kept.
+  if (result.swings.empty() && result.verdict != sup::Verdict::none) throw PlanError(result.reason);
 
   nlohmann::ordered_json json = result_json(
       robot, {arguments.board, arguments.seed, arguments.mode, options.session.formulation}, result, realtime_factor);
@@ -126,14 +127,14 @@ int run(const HammerArguments& arguments) {
   write_whole(out / "bus.log", [&](std::ostream& file) { file << bus_log.view(); });
   write_whole(out / "telemetry.csv", [&](std::ostream& file) { telemetry.write_csv(file); });
   write_whole(out / "result.json", [&](std::ostream& file) { file << json.dump(2) << '\n'; });
-  const bool reported = arguments.no_report || make_report(out);
+  const bool reported = arguments.no_report || result.swings.empty() || make_report(out);
 
   if (arguments.json) {
     fmt::print("{}\n", json.dump(2));
   } else {
     fmt::print("MRR: {} on {}, seed {}\n\n", robot.name, arguments.board, arguments.seed);
     if (arguments.as_printed) fmt::print("{}\n", tables_text(tables));
-    fmt::print("{}\n{}", plan_text(robot, result.swings.front().plan), swing_header());
+    if (!result.swings.empty()) fmt::print("{}\n{}", plan_text(robot, result.swings.front().plan), swing_header());
     for (std::size_t k = 0; k < result.swings.size(); ++k) {
       fmt::print("{}", swing_text(robot, result.swings[k], result.truth[k]));
     }

@@ -24,7 +24,8 @@ std::string wrapped(const std::string& text, std::size_t indent) {
     if (end == std::string::npos) end = text.size();
     const std::string word = text.substr(at, end - at);
     if (column > 0 && column + 1 + word.size() > kWidth) {
-      out += "\n" + std::string(indent, ' ');
+      out += '\n';
+      out.append(indent, ' ');
       column = indent;
     } else if (column > 0) {
       out += ' ';

@@ -16,6 +16,7 @@ constexpr float kPositionSlack = 0.01F;         // rad beyond a soft limit befor
 constexpr float kStill = 1e-3F;                 // rad/s: slower is not moving towards a limit
 constexpr float kConfirmShare = 0.05F;          // of full-scale current: agreement that confirms torque
 constexpr float kMaxCompensationShare = 0.95F;  // of the Coulomb friction: the passive law must not drive
+constexpr float kHoldLeash = 0.8F;  // of the resynchronisation window: a held joint can always be taken over again
 constexpr std::uint32_t kNotWatched = 0xFFFF'FFFFU;
 
 // Every fault a module can raise itself, to be cleared together.
@@ -300,7 +301,7 @@ void Module::offer_knot(const Knot& knot, Duration period) noexcept {
         brake_.motion_allowed() && status_.homed && pll_.locked())) {
     return;
   }
-  switch (reference_.offer(knot, pll_.sync_time(), period)) {
+  switch (reference_.offer(knot, pll_.sync_time(), period, sensing_.position_rad())) {
     case KnotVerdict::resynchronised:
       passive_ended_by_ = LimitCode::none;
       node_.clear(Emergency::knots_lost, status_.now);
@@ -767,6 +768,8 @@ float Module::control_torque(Time now) noexcept {
     reference_.start_at(sensing_.position_rad(), sensing_.velocity_rad_s(), config_.reference.stop_deceleration_rad_s2);
     return selector_.step(target * config_.drive.rated_torque_nm, 0.0F);
   }
+  reference_.keep_near(sensing_.position_rad(), kHoldLeash * config_.reference.resync_window_rad);
+  reference_.not_faster_than(sensing_.velocity_rad_s());
   const MotionState& r = reference_.step(now);
   const ActiveLawOutput law = active_.step(sensing_.position_rad() - r.position_rad, sensing_.velocity_rad_s(), r,
                                            load_torque_nm_, !saturated_ && !selector_.catching_up());

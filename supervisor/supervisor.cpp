@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include "common/robot/errors.h"
 #include "supervisor/master/bus_budget.h"
@@ -16,10 +17,11 @@ namespace {
 constexpr std::int8_t kModePassive = -1;
 constexpr std::int64_t kKnotsAhead = 2;  // knot sent at SYNC k is latched at k+1 and reached at k+2
 constexpr Duration kHeartbeatPeriod = milliseconds(50);
-constexpr double kStopShare = 0.7;     // of the acceleration limit, for controlled stops
 constexpr double kReturnShare = 0.25;  // of the limits, for the unhurried way back
 constexpr double kStartTolerance_rad = 1e-3;
 constexpr double kSelfCheckTolerance = 1e-9;
+constexpr double kRubberGives_m = 0.006;  // largest compression of a hammer face in a blow
+constexpr double kLeastArm_m = 0.05;
 /// A joint that ignores its knots for this long is not doing what it is told.
 constexpr int kAstrayCycles = 3;
 /// A switch that is due this soon anyway is not pulled.
@@ -134,7 +136,7 @@ SwingProgram program_of(const StrikePlan& plan) {
           .passive = plan.passive,
           .head_position_m = plan.head_position_m,
           .normal = plan.normal,
-          .follow_through_m = plan.follow_through_m,
+          .board_distance_m = plan.board_distance_m,
           .q_back_swing = plan.q_back_swing};
 }
 
@@ -196,6 +198,28 @@ bool Supervisor::all_follow(std::uint32_t except) const noexcept {
 
 bool Supervisor::motion_ended() const noexcept {
   return sync_ >= motion_start_ && sync_period_ * (sync_ - motion_start_) >= motion_.duration();
+}
+
+// Whether the passive arm must be caught now to come to rest before the board. A face that is not past the head by more
+// than its rubber gives is not sinking: on a nail that does not move the blow ends by itself.
+bool Supervisor::sinking() const noexcept {
+  const ChainPose pose = chain_.pose(sample_.q);
+  const Jacobian J_h = chain_.jacobian(pose);
+  const double depth_m = (program_.head_position_m - pose.face.position_m).dot(program_.normal);
+  if (!(depth_m >= kRubberGives_m)) return false;
+  const double speed_m_s = -(J_h * sample_.qd).head<3>().dot(program_.normal);
+  if (!(speed_m_s > 0.0)) return false;
+  double deceleration_m_s2 = std::numeric_limits<double>::infinity();
+  for (int i = 0; i < dof_; ++i) {
+    if (((program_.passive >> static_cast<unsigned>(i)) & 1U) == 0) continue;
+    const double arm_m = std::abs(J_h.col(i).head<3>().dot(program_.normal));
+    if (arm_m < kLeastArm_m) continue;  // this joint does not move the face along the nail
+    deceleration_m_s2 = std::min(deceleration_m_s2, arm_m * robot_.joints[at(i)].stop_deceleration_rad_s2());
+  }
+  // The samples are a SYNC old, and the modules hear of it a frame later.
+  const double delay_s = 1.5 * sync_period_.seconds();
+  const double stopping_m = speed_m_s * (delay_s + 0.5 * speed_m_s / deceleration_m_s2);
+  return depth_m + stopping_m >= program_.board_distance_m;
 }
 
 std::uint32_t Supervisor::wire_mask(std::uint32_t passive) const noexcept {
@@ -309,7 +333,7 @@ JointTrajectory Supervisor::stopping_motion() const noexcept {
   // The velocity falls to zero on a cubic whose steepest slope is 1.5 v/T; starting acceleration is carried along.
   double duration_s = sync_period_.seconds();
   for (int i = 0; i < dof_; ++i) {
-    const double limit = kStopShare * robot_.joints[at(i)].limits.acceleration_rad_s2;
+    const double limit = robot_.joints[at(i)].stop_deceleration_rad_s2();
     duration_s = std::max(duration_s, 1.5 * std::abs(reference_.qd[i]) / limit);
   }
   const auto knots = static_cast<std::int64_t>(std::ceil(duration_s / sync_period_.seconds()));
@@ -402,9 +426,7 @@ void Supervisor::advance_activity() noexcept {
     case Activity::swinging:
       if (selection_ == Selection::in_force) {
         const bool time_is_up = now_ >= outcome_.switch_effective + program_.passive_time;
-        const double depth_m =
-            (program_.head_position_m - chain_.face_pose(sample_.q).position_m).dot(program_.normal);
-        if (contact_phase_ == ContactPhase::over || time_is_up || depth_m >= program_.follow_through_m) begin_resume();
+        if (contact_phase_ == ContactPhase::over || time_is_up || sinking()) begin_resume();
       } else if (motion_ended()) {
         // The report is closed by the time the arm is back; a blow still open then has ended by leaving.
         finish_swing();

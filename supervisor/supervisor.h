@@ -105,7 +105,7 @@ struct SwingProgram {
   std::uint32_t passive = 0;  ///< bit i: joint i
   Eigen::Vector3d head_position_m = Eigen::Vector3d::Zero();
   Eigen::Vector3d normal = Eigen::Vector3d::UnitZ();
-  double follow_through_m = 0.0;  ///< a passive arm that sinks deeper than this past the head is caught
+  double board_distance_m = 0.0;  ///< head to board: a passive arm that sinks with the nail is caught before
   JointVector q_back_swing;
 };
 [[nodiscard]] SwingProgram program_of(const StrikePlan& plan);
@@ -163,6 +163,7 @@ class Supervisor {
   [[nodiscard]] bool all_acknowledged() const noexcept;
   [[nodiscard]] Time knot_time(std::int64_t knot) const noexcept { return first_sync_ + sync_period_ * knot; }
   [[nodiscard]] bool motion_ended() const noexcept;
+  [[nodiscard]] bool sinking() const noexcept;
   /// All joints but those in `except` (bit i) are led by knots.
   [[nodiscard]] bool all_follow(std::uint32_t except = 0) const noexcept;
 

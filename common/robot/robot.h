@@ -133,6 +133,9 @@ struct JointDescription {
   std::uint8_t node_id = 0;        ///< CANopen node id, 2-127
   std::uint8_t selection_bit = 0;  ///< bit in the 32-bit selection mask
 
+  /// Deceleration of controlled stops, of the module and of the supervisor alike: gentle, because the arm's weight is
+  /// carried besides.
+  [[nodiscard]] double stop_deceleration_rad_s2() const { return 0.4 * limits.acceleration_rad_s2; }
   /// Reflected rotor inertia gamma^2 I_r, kg m^2.
   [[nodiscard]] double reflected_inertia_kg_m2() const {
     return transmission.gear_ratio * transmission.gear_ratio * motor.rotor_inertia_kg_m2;

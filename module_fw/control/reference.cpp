@@ -6,6 +6,8 @@ namespace {
 
 // Below this a decaying velocity is at rest: a tenth of a microradian per millisecond tick.
 constexpr float kRestVelocity = 1e-4F;
+// Tracking lags a stopping reference by less than this, rad/s.
+constexpr float kVelocityMargin = 0.15F;
 constexpr float kRestOffset = 1e-7F;
 // Position counts on the wire are microradians: two of them are rounding, not a jump.
 constexpr float kWireRounding = 3e-6F;
@@ -41,6 +43,19 @@ void Reference::move_at(float velocity_rad_s, float acceleration_rad_s2) noexcep
   wanted_velocity_rad_s_ = velocity_rad_s;
 }
 
+void Reference::keep_near(float position_rad, float distance_rad) noexcept {
+  if (lead_ != Lead::stop) return;
+  state_.position_rad = limit(state_.position_rad, position_rad - distance_rad, position_rad + distance_rad);
+}
+
+void Reference::not_faster_than(float joint_velocity_rad_s) noexcept {
+  if (lead_ != Lead::stop || state_.velocity_rad_s == 0.0F) return;
+  const float direction = sign(state_.velocity_rad_s);
+  const float allowed =
+      limit(direction * joint_velocity_rad_s + kVelocityMargin, 0.0F, direction * state_.velocity_rad_s);
+  state_.velocity_rad_s = direction * allowed;
+}
+
 void Reference::shift(float by_rad) noexcept {
   state_.position_rad += by_rad;
   from_.position_rad += by_rad;
@@ -61,14 +76,15 @@ bool Reference::within_limits(const MotionState& s) const noexcept {
          stop <= upper + slack;
 }
 
-KnotVerdict Reference::offer(const Knot& knot, Time sync, Duration period) noexcept {
+KnotVerdict Reference::offer(const Knot& knot, Time sync, Duration period, float position_rad) noexcept {
   if (!within_limits(knot.state)) return KnotVerdict::out_of_limits;
   const float T = short_seconds(period.ns);
   if (lead_ != Lead::knots) {
     if (!at_rest()) return KnotVerdict::ignored_moving;
     const float away = state_.position_rad - knot.state.position_rad;
-    if (!(absolute(away) <= config_.resync_window_rad &&
-          absolute(knot.state.velocity_rad_s) <= config_.resync_velocity_rad_s)) {
+    const bool near = absolute(away) <= config_.resync_window_rad ||
+                      absolute(position_rad - knot.state.position_rad) <= config_.resync_window_rad;
+    if (!(near && absolute(knot.state.velocity_rad_s) <= config_.resync_velocity_rad_s)) {
       return KnotVerdict::ignored_far;
     }
     // One knot does not tell where it came from: it came with its own acceleration. What is then left between the held

@@ -20,7 +20,7 @@ struct Knot {
 enum class KnotVerdict : std::uint8_t {
   accepted,
   resynchronised,  ///< accepted, and it ended a hold
-  ignored_far,     ///< holding: not within the window around the held reference
+  ignored_far,     ///< holding: not within the window around the held reference or the joint
   ignored_moving,  ///< not at rest yet after a stop
   stale,           ///< its sequence did not advance
   out_of_limits,   ///< position, velocity or acceleration beyond the joint's limits
@@ -39,11 +39,21 @@ class Reference {
   void stop(float deceleration_rad_s2) noexcept;
   /// Moves at a constant velocity, reached with a bounded acceleration (homing).
   void move_at(float velocity_rad_s, float acceleration_rad_s2) noexcept;
+  /// While stopping or holding: never further than `distance_rad` from where the joint is. A joint that is held back
+  /// (an arm that came to rest on a board) takes its reference along rather than press ever harder against it.
+  void keep_near(float position_rad, float distance_rad) noexcept;
   /// The position scale changed (homing): the reference is the same place under another number.
   void shift(float by_rad) noexcept;
 
   /// A knot arrived with the SYNC at `sync`; the next SYNC is due `period` later.
-  KnotVerdict offer(const Knot& knot, Time sync, Duration period) noexcept;
+  /// `position_rad` is where the joint is: a knot near it ends a hold too, for a joint that is kept off its reference
+  /// (the board stopped it) can only be met there.
+  KnotVerdict offer(const Knot& knot, Time sync, Duration period, float position_rad) noexcept;
+
+  /// While the reference comes to rest it is not faster than the joint (by more than a margin): a joint that something
+  /// stopped is not pressed against it. The law carries the sensed load, so what the reference runs on, the joint
+  /// pushes.
+  void not_faster_than(float joint_velocity_rad_s) noexcept;
 
   /// One tick: where the joint shall be now. Continues the last knot at its acceleration once its period is over.
   const MotionState& step(Time now) noexcept;

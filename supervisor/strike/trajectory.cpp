@@ -53,20 +53,30 @@ void check_kinematics(const MotionLimits& limits, const JointTrajectory& traject
   }
 }
 
+void check_torques_at(const RobotDescription& robot, const Chain& chain, const MotionLimits& limits,
+                      const JointMotion& motion, Worst& worst) noexcept {
+  const MotionTorques torques = motion_torques(robot, chain, motion);
+  for (int i = 0; i < chain.dof(); ++i) {
+    worst.enter(LimitKind::torque, i, torques.drive_nm[i], limits.torque_nm[i]);
+    worst.enter(LimitKind::transmission, i, torques.transmission_nm[i], limits.transmission_nm[i]);
+  }
+}
+
 void check_torques(const RobotDescription& robot, const Chain& chain, const MotionLimits& limits,
                    const JointTrajectory& trajectory, std::size_t segment, Worst& worst) noexcept {
   const Duration start = trajectory.segment_start(segment);
   const Duration length = trajectory.segment_start(segment + 1) - start;
   const std::int64_t steps = std::clamp<std::int64_t>((length.ns + 4'999'999) / 5'000'000, 24, 400);
   JointMotion motion;
-  for (std::int64_t k = 0; k <= steps; ++k) {
-    trajectory.sample(start + length * k / steps, motion);
-    const MotionTorques torques = motion_torques(robot, chain, motion);
-    for (int i = 0; i < trajectory.dof(); ++i) {
-      worst.enter(LimitKind::torque, i, torques.drive_nm[i], limits.torque_nm[i]);
-      worst.enter(LimitKind::transmission, i, torques.transmission_nm[i], limits.transmission_nm[i]);
+  const auto check_from = [&](std::int64_t first, std::int64_t stride) {
+    for (std::int64_t k = first; k <= steps; k += stride) {
+      trajectory.sample(start + length * k / steps, motion);
+      check_torques_at(robot, chain, limits, motion, worst);
     }
-  }
+  };
+  // A few samples show most of what is too much: a search need not look further.
+  check_from(0, std::max<std::int64_t>(steps / 8, 1));
+  if (worst.check().ok()) check_from(0, 1);
 }
 
 }  // namespace
@@ -124,7 +134,7 @@ MotionLimits motion_limits(const RobotDescription& robot) {
     limits.velocity_rad_s[i] = kVelocityShare * std::min(joint.limits.velocity_rad_s, motor);
     limits.acceleration_rad_s2[i] = kAccelerationShare * joint.limits.acceleration_rad_s2;
     limits.torque_nm[i] = kTorqueShare * joint.limits.torque_nm;
-    limits.transmission_nm[i] = joint.transmission.repeated_peak_nm;
+    limits.transmission_nm[i] = kTransmissionShare * joint.transmission.repeated_peak_nm;
   }
   return limits;
 }
@@ -165,6 +175,13 @@ MotionTorques motion_torques(const RobotDescription& robot, const Chain& chain, 
   return torques;
 }
 
+LimitCheck check_torques_at(const RobotDescription& robot, const Chain& chain, const MotionLimits& limits,
+                            const JointMotion& motion) noexcept {
+  Worst worst;
+  check_torques_at(robot, chain, limits, motion, worst);
+  return worst.check();
+}
+
 LimitCheck check_segment(const RobotDescription& robot, const Chain& chain, const MotionLimits& limits,
                          const JointTrajectory& trajectory, std::size_t segment) noexcept {
   Worst worst;
@@ -203,13 +220,20 @@ std::optional<Duration> shortest_duration(const RobotDescription& robot, const C
     }
     least_s = std::max(least_s, travel / limits.velocity_rad_s[i]);
   }
+  // What the ends themselves ask for does not depend on the duration.
+  for (const JointMotion* motion : {&start, &end}) {
+    const LimitCheck check = check_torques_at(robot, chain, limits, *motion);
+    if (check.ok()) continue;
+    why = check;
+    return std::nullopt;
+  }
   const auto at_rest_there = [](const JointMotion& m) { return m.qd.isZero() && m.qdd.isZero(); };
   // From rest to rest slower is always easier: what cannot be done slowest cannot be done.
   if (at_rest_there(start) && at_rest_there(end) && !feasible(longest / grid)) return std::nullopt;
   // Coarse upwards, because with speed at an end longer is not always easier; then back to the first that holds.
   const std::int64_t last = longest / grid;
   std::int64_t failed = std::max<std::int64_t>(seconds(least_s) / grid, 1) - 1;
-  for (std::int64_t steps = failed + 1; steps <= last; steps += 1 + steps / 48) {
+  for (std::int64_t steps = failed + 1; steps <= last; steps += 1 + steps / 32) {
     if (!feasible(steps)) {
       failed = steps;
       continue;

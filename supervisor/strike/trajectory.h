@@ -80,6 +80,8 @@ struct MotionLimits {
 inline constexpr double kVelocityShare = 0.95;
 inline constexpr double kAccelerationShare = 0.9;
 inline constexpr double kTorqueShare = 0.9;
+/// Of the repeated peak: the springs of the gears overshoot what inverse dynamics of rigid joints asks of them.
+inline constexpr double kTransmissionShare = 0.6;
 [[nodiscard]] MotionLimits motion_limits(const RobotDescription& robot);
 
 /// Which limit a motion breaks, by how much, where.
@@ -102,6 +104,10 @@ struct MotionTorques {
 };
 [[nodiscard]] MotionTorques motion_torques(const RobotDescription& robot, const Chain& chain,
                                            const JointMotion& motion) noexcept;
+
+/// Torques of one state.
+[[nodiscard]] LimitCheck check_torques_at(const RobotDescription& robot, const Chain& chain, const MotionLimits& limits,
+                                          const JointMotion& motion) noexcept;
 
 /// Checks segment k: position, velocity, acceleration exactly (extremes of the quintics), torques at samples 5 ms
 /// apart, but 24 at least and 400 at most.

@@ -126,7 +126,7 @@ ModuleConfig module_config(const RobotDescription& robot, int joint) {
   c.passive.torque_dead_band_nm = narrow(std::max(1.0, 6.0 * j.sensors.torque_noise_nm + 0.5));
   c.passive.torque_full_trend_nm = c.passive.torque_dead_band_nm + std::max(1.0F, c.passive.compensation_nm);
 
-  c.reference.stop_deceleration_rad_s2 = narrow(0.4 * j.limits.acceleration_rad_s2);
+  c.reference.stop_deceleration_rad_s2 = narrow(j.stop_deceleration_rad_s2());
   c.reference.quick_stop_deceleration_rad_s2 = narrow(j.limits.acceleration_rad_s2);
 
   c.drive.gear_ratio = narrow(j.transmission.gear_ratio);
