@@ -15,6 +15,8 @@ import pathlib
 import sys
 import tempfile
 
+sys.dont_write_bytecode = True  # an installation may be shared
+
 
 def write_whole(path, data):
     """Through a temporary file in the same folder: the file is there whole or not at all."""
