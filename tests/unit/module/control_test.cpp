@@ -266,7 +266,7 @@ TEST(Reference, ReproducesAQuinticExactlyBetweenKnots) {
       const Time sync = Time{} + period * k;
       // Takes over with two knots at rest, then the quintic from t = 0 at the third SYNC.
       const auto shape = [&](double t) { return t <= 0.0 ? MotionState{0.2F, 0.0F, 0.0F} : quintic.at(t); };
-      const KnotVerdict verdict = reference.offer({shape((k + 1 - 2) * T), sequence++}, sync, period);
+      const KnotVerdict verdict = reference.offer({shape((k + 1 - 2) * T), sequence++}, sync, period, 0.2F);
       ASSERT_EQ(verdict, k == 0 ? KnotVerdict::resynchronised : KnotVerdict::accepted) << k;
       for (int i = 0; i < 8; ++i) {
         const double t = sync.seconds() + i * T / 8;
@@ -318,7 +318,8 @@ TEST(Reference, TakesOverFromAHoldWithoutAJump) {
     for (int tick = 0; tick < 600; ++tick) {
       const Time now = Time{} + milliseconds(tick);
       if (tick % 4 == 0) {
-        ASSERT_NE(reference.offer({{0.5F + away, 0.0F, 0.0F}, sequence++}, now, milliseconds(4)), KnotVerdict::jump);
+        ASSERT_NE(reference.offer({{0.5F + away, 0.0F, 0.0F}, sequence++}, now, milliseconds(4), 0.5F),
+                  KnotVerdict::jump);
       }
       const MotionState& r = reference.step(now);
       ASSERT_LE(absolute(r.position_rad - last.position_rad), 1.1e-4F);
@@ -338,23 +339,44 @@ TEST(Reference, IgnoresWhatIsFarStaleOrOutOfLimits) {
   reference.start_at(0.95F, 0.0F, 20.0F);
   reference.step(Time{});
   const Duration T = milliseconds(4);
-  EXPECT_EQ(reference.offer({{0.90F, 0.0F, 0.0F}, 5}, Time{}, T), KnotVerdict::ignored_far);
-  EXPECT_EQ(reference.offer({{0.95F, 1.8F, 0.0F}, 5}, Time{}, T), KnotVerdict::out_of_limits)
+  EXPECT_EQ(reference.offer({{0.90F, 0.0F, 0.0F}, 5}, Time{}, T, 0.95F), KnotVerdict::ignored_far);
+  EXPECT_EQ(reference.offer({{0.95F, 1.8F, 0.0F}, 5}, Time{}, T, 0.95F), KnotVerdict::out_of_limits)
       << "1.8 rad/s takes 62 mrad to stop, 50 are left";
-  EXPECT_EQ(reference.offer({{0.90F, 0.3F, 0.0F}, 5}, Time{}, T), KnotVerdict::ignored_far);
-  EXPECT_EQ(reference.offer({{1.01F, 0.0F, 0.0F}, 5}, Time{}, T), KnotVerdict::out_of_limits);
-  EXPECT_EQ(reference.offer({{0.95F, 0.0F, 30.0F}, 5}, Time{}, T), KnotVerdict::out_of_limits);
-  EXPECT_EQ(reference.offer({{std::numeric_limits<float>::quiet_NaN(), 0.0F, 0.0F}, 5}, Time{}, T),
+  EXPECT_EQ(reference.offer({{0.90F, 0.3F, 0.0F}, 5}, Time{}, T, 0.95F), KnotVerdict::ignored_far);
+  EXPECT_EQ(reference.offer({{1.01F, 0.0F, 0.0F}, 5}, Time{}, T, 0.95F), KnotVerdict::out_of_limits);
+  EXPECT_EQ(reference.offer({{0.95F, 0.0F, 30.0F}, 5}, Time{}, T, 0.95F), KnotVerdict::out_of_limits);
+  EXPECT_EQ(reference.offer({{std::numeric_limits<float>::quiet_NaN(), 0.0F, 0.0F}, 5}, Time{}, T, 0.95F),
             KnotVerdict::out_of_limits);
-  EXPECT_EQ(reference.offer({{0.95F, 0.0F, 0.0F}, 5}, Time{}, T), KnotVerdict::resynchronised);
-  EXPECT_EQ(reference.offer({{0.95F, 0.0F, 0.0F}, 5}, Time{} + T, T), KnotVerdict::stale);
-  EXPECT_EQ(reference.offer({{0.95F, 0.0F, 0.0F}, 4}, Time{} + T, T), KnotVerdict::stale);
-  EXPECT_EQ(reference.offer({{0.955F, 0.0F, 0.0F}, 6}, Time{} + T, T), KnotVerdict::jump);
-  EXPECT_EQ(reference.offer({{0.95F, 0.0F, 0.0F}, 6}, Time{} + T, T), KnotVerdict::accepted);
+  EXPECT_EQ(reference.offer({{0.95F, 0.0F, 0.0F}, 5}, Time{}, T, 0.95F), KnotVerdict::resynchronised);
+  EXPECT_EQ(reference.offer({{0.95F, 0.0F, 0.0F}, 5}, Time{} + T, T, 0.95F), KnotVerdict::stale);
+  EXPECT_EQ(reference.offer({{0.95F, 0.0F, 0.0F}, 4}, Time{} + T, T, 0.95F), KnotVerdict::stale);
+  EXPECT_EQ(reference.offer({{0.955F, 0.0F, 0.0F}, 6}, Time{} + T, T, 0.95F), KnotVerdict::jump);
+  EXPECT_EQ(reference.offer({{0.95F, 0.0F, 0.0F}, 6}, Time{} + T, T, 0.95F), KnotVerdict::accepted);
   Reference moving({}, limits, kDt);
   moving.start_at(0.0F, 1.0F, 20.0F);
   moving.step(Time{});
-  EXPECT_EQ(moving.offer({{0.001F, 0.0F, 0.0F}, 5}, Time{}, T), KnotVerdict::ignored_moving);
+  EXPECT_EQ(moving.offer({{0.001F, 0.0F, 0.0F}, 5}, Time{}, T, 0.0F), KnotVerdict::ignored_moving);
+}
+
+TEST(Reference, MeetsAJointThatIsKeptOffItsReferenceWhereItIs) {
+  Reference reference({}, {}, kDt);
+  reference.start_at(0.5F, 0.0F, 20.0F);
+  reference.step(Time{});
+  const Duration T = milliseconds(4);
+  EXPECT_EQ(reference.offer({{0.54F, 0.0F, 0.0F}, 5}, Time{}, T, 0.5F), KnotVerdict::ignored_far);
+  EXPECT_EQ(reference.offer({{0.54F, 0.0F, 0.0F}, 5}, Time{}, T, 0.541F), KnotVerdict::resynchronised);
+  EXPECT_NEAR(reference.step(Time{}).position_rad, 0.5F, 1e-6F) << "no jump";
+}
+
+TEST(Reference, DoesNotRunAheadOfABlockedJoint) {
+  Reference reference({}, {}, kDt);
+  reference.start_at(0.1F, 1.5F, 20.0F);
+  for (int i = 0; i < 300; ++i) {
+    reference.not_faster_than(0.0F);
+    reference.step(Time{} + milliseconds(i));
+    ASSERT_LE(reference.state().position_rad, 0.1F + 0.003F);
+  }
+  EXPECT_TRUE(reference.at_rest());
 }
 
 // ------------------------------------------------------------------------------------------------ SYNC

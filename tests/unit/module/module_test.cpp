@@ -303,6 +303,26 @@ TEST(Module, PassivePhaseIsBoundedInTimeAndTravel) {
   EXPECT_EQ(b.status().limit, LimitCode::passive_time);
 }
 
+TEST(Module, AJointThatABoardStoppedTakesItsReferenceAlongAndIsMetWhereItIs) {
+  ModuleBench b;
+  ASSERT_TRUE(b.enable());
+  ASSERT_TRUE(b.follow_here());
+  const double from = b.status().reference_position_rad;
+  b.trajectory = RestToRest{from, from + 0.5, b.seconds_now() + 0.02, 0.6};
+  b.run(0.33);
+  b.select(can::SelectionAction::now, false, 1);
+  b.tick();
+  const double wall = b.joint.link_q + 0.01;
+  b.each_tick = [&](const ModuleStatus&) { b.joint.external_nm = std::min(0.0, -4000.0 * (b.joint.link_q - wall)); };
+  b.run(0.012);
+  b.select(can::SelectionAction::now, true, 2);
+  b.run(0.5);
+  EXPECT_NEAR(b.status().reference_position_rad, b.joint.motor_q, 0.008 + 1e-4);
+  EXPECT_TRUE(b.follow_here());
+  b.run(1.0);
+  EXPECT_NEAR(b.status().reference_position_rad, b.joint.motor_q, 5e-3);
+}
+
 TEST(Module, ModeMinusOneIsPassiveForPlainClients) {
   ModuleBench b;
   ASSERT_TRUE(b.enable());
