@@ -111,7 +111,6 @@ void read_board(const std::filesystem::path& file, BoardDescription& board) {
   board.name = reader.text("name");
   const YamlReader nail = reader.section("nail");
   board.nail_length_m = nail.number("length", Unit::length, Range::positive(0.5));
-  board.head_radius_m = nail.number("head_radius", Unit::length, Range::positive(0.05));
   board.nail_resistance_n = nail.number("resistance", Unit::force, {0.0, 1e6});
   board.nail_resistance_slope_n_m = nail.number("resistance_slope", Unit::stiffness, {0.0, 1e7});
   board.nail_damping_n_s_m = nail.number("damping", Unit::damping, Range::positive(1e6));

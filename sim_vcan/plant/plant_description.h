@@ -76,8 +76,7 @@ struct BoardDescription {
   double nail_resistance_n = 3.8;            ///< R0; a board which no nail enters has a very large one
   double nail_resistance_slope_n_m = 113.0;  ///< dR/dd
   double nail_damping_n_s_m = 11.6;          ///< c_v
-  double head_radius_m = 0.004;
-  double surface_stiffness_n_m = 2.0e4;  ///< face on the bare board, rubber and board together
+  double surface_stiffness_n_m = 2.0e4;      ///< face on the bare board, rubber and board together
   double surface_damping_s_m = 1.8;
   double half_width_m = 0.15;  ///< the board reaches this far from the nail
 };

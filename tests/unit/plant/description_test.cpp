@@ -85,7 +85,7 @@ class Broken : public testing::Test {
   std::filesystem::path folder_;
   static constexpr const char* kBoard =
       "name: soft\n"
-      "nail: {length: 40 mm, head_radius: 4 mm, resistance: 4 N, resistance_slope: 100 N/m, damping: 12 N s/m}\n"
+      "nail: {length: 40 mm, resistance: 4 N, resistance_slope: 100 N/m, damping: 12 N s/m}\n"
       "surface: {stiffness: 7000 N/m, damping: 1 s/m, half_width: 150 mm}\n";
 };
 
