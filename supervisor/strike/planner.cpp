@@ -10,6 +10,7 @@
 #include <numbers>
 #include <optional>
 #include <span>
+#include <utility>
 
 #include "supervisor/impact/measures.h"
 #include "supervisor/strike/joint_norm.h"
@@ -397,6 +398,11 @@ std::optional<Obstacle> Planner::build_swing(const Blow& blow, StrikePlan& plan,
         fmt::format("no room for the back-swing: {} would have to start at {:.3f} rad, limits {:.3f} to {:.3f}",
                     robot_.joints[at(i)].name, q_start[i], limits_.lower_rad[i], limits_.upper_rad[i])};
   }
+  // Holding still does not get easier by striking slower.
+  for (const JointVector* rest : {&q_start, &std::as_const(plan.q_stop)}) {
+    const LimitCheck check = check_torques_at(robot_, chain_, limits_, at_rest(*rest));
+    if (!check.ok()) return Obstacle{"the arm cannot be held at an end of the swing: " + describe(check, robot_)};
+  }
   const JointMotion impact{blow.pose.q, blow.qd, JointVector::Zero(dof())};
   LimitCheck why;
   const auto down =
@@ -560,6 +566,7 @@ StrikePlan Planner::plan() {
   plan.q_impact = blow.pose.q;
   plan.qd_impact = blow.qd;
   plan.head_position_m = request_.head_position_m;
+  plan.board_distance_m = request_.board_distance_m;
   plan.normal = request_.normal;
   const Eigen::Vector3d v = chain_.jacobian(blow.pose.q).topRows<3>() * blow.qd;
   plan.speed_m_s = -request_.normal.dot(v);
