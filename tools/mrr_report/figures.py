@@ -282,17 +282,18 @@ def draw_torque_shares(ax, run, other=None):
             "repeated_peak_nm"]
 
     numbers = np.arange(len(entries))
+    wide, aside = (0.43 * width, 0.22 * width) if other is not None else (0.86 * width, 0.0)
     for k, joint in enumerate(run.joints):
         at = numbers + (k - (count - 1) / 2) * width
         shares, rated = zip(*(bar_of(entry, joint) for entry in entries))
-        ax.bar(at, shares, 0.86 * width, color=joint_colour(run, joint), zorder=3,
+        ax.bar(at - aside, shares, wide, color=joint_colour(run, joint), zorder=3,
                label=joint_label(joint) + (" (passive)" if run.ever_passive(joint) else ""))
         ax.hlines(rated, at - 0.45 * width, at + 0.45 * width, color=style.INK, lw=1.2, zorder=4,
                   label="rated torque" if k == 0 else None)
         if other is not None:
             pairs = list(zip(at, other.hit_entries))
-            ax.bar([x for x, _ in pairs], [bar_of(entry, joint)[0] for _, entry in pairs], 0.86 * width, fc="none",
-                   ec=joint_colour(run, joint), hatch="////", lw=1.0, zorder=2,
+            ax.bar([x + aside for x, _ in pairs], [bar_of(entry, joint)[0] for _, entry in pairs], wide, fc="none",
+                   ec=joint_colour(run, joint), hatch="/////", lw=0.8, zorder=3,
                    label=MODE_LABELS[other.mode] if k == count - 1 else None)
     ax.axhline(100, color=style.INK, lw=1.1)
     ax.annotate("repeated peak", (1, 100), xycoords=("axes fraction", "data"), xytext=(-2, 2),
