@@ -81,6 +81,8 @@ KnotVerdict Reference::offer(const Knot& knot, Time sync, Duration period, float
   const float T = short_seconds(period.ns);
   if (lead_ != Lead::knots) {
     if (!at_rest()) return KnotVerdict::ignored_moving;
+    // A sender that repeats itself is not alive.
+    if (has_sequence_ && knot.sequence == sequence_) return KnotVerdict::stale;
     const float away = state_.position_rad - knot.state.position_rad;
     const bool near = absolute(away) <= config_.resync_window_rad ||
                       absolute(position_rad - knot.state.position_rad) <= config_.resync_window_rad;
@@ -95,6 +97,7 @@ KnotVerdict Reference::offer(const Knot& knot, Time sync, Duration period, float
     offset_velocity_rad_s_ = -from.velocity_rad_s;
     lead_ = Lead::knots;
     sequence_ = knot.sequence;
+    has_sequence_ = true;
     begin_segment(from, knot.state, sync, T);
     return KnotVerdict::resynchronised;
   }

@@ -93,7 +93,8 @@ class Reference {
   float period_s_ = 1.0F;
   float inverse_period_ = 1.0F;
   float c1_ = 0.0F, c2_ = 0.0F, c3_ = 0.0F, c4_ = 0.0F, c5_ = 0.0F;
-  std::uint16_t sequence_ = 0;
+  std::uint16_t sequence_ = 0;  ///< of the last accepted knot
+  bool has_sequence_ = false;
   bool continuing_ = false;
 
   // Difference between the held reference and the knots at resynchronisation, fading (critically damped).

@@ -178,20 +178,23 @@ TEST(Module, RefusesKnotsThatJumpAndDoesNotCountThemAsAlive) {
   EXPECT_NEAR(b.joint.motor_q, here, 1e-3);
 }
 
-TEST(Module, AStaleSequenceIsNoKnot) {
+TEST(Module, ASenderThatRepeatsItselfIsNotAlive) {
   ModuleBench b;
   ASSERT_TRUE(b.enable());
   ASSERT_TRUE(b.follow_here());
   const float here = b.status().reference_position_rad;
   const std::uint16_t frozen = b.sequence;
   b.trajectory = [&, here](double) {
-    b.sequence = static_cast<std::uint16_t>(frozen - 1U);
+    b.sequence = static_cast<std::uint16_t>(frozen - 1U);  // send_knot counts it up again
     return MotionState{here, 0.0F, 0.0F};
   };
-  b.run(0.05);
+  b.run(0.1);
   EXPECT_GT(b.module.objects().count_stale_knots, 0U);
-  // The hold is taken over again by a knot near it, whatever its sequence; while following, only advancing ones count.
-  EXPECT_GT(b.module.objects().first_fault_cause + b.status().knots_accepted, 0U);
+  EXPECT_FALSE(b.status().following_knots);
+  EXPECT_EQ(b.status().limit, LimitCode::knots_lost);
+  b.trajectory = [here](double) { return MotionState{here, 0.0F, 0.0F}; };
+  b.run(0.02);
+  EXPECT_TRUE(b.status().following_knots);
 }
 
 TEST(Module, SelectionNowSwitchesInThisTickAndIsAcknowledged) {
