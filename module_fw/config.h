@@ -4,6 +4,7 @@
 
 #include <array>
 #include <cstdint>
+#include <limits>
 
 #include "common/core/time.h"
 
@@ -14,8 +15,8 @@ struct SensingConfig {
   std::int32_t encoder_counts_per_turn = 16384;  ///< per motor turn
   bool encoder_absolute = true;                  ///< false: motion in mode 8, 10, -1 only after homing
   std::int32_t encoder_zero_count = 0;           ///< count at joint position 0 (absolute encoder)
-  float velocity_bandwidth_rad_s =
-      2500.0F;  ///< of the tracking observer; below 1500 the compensator of a base joint rattles
+  /// Double pole of the velocity observer. Below 1500 the compensator of a base joint rattles.
+  float velocity_bandwidth_rad_s = 2500.0F;
   bool torque_sensor = true;
   float torque_full_scale_nm = 100.0F;         ///< at ADC 32767; sign: torque the transmission gives the link
   float current_full_scale_a = 40.0F;          ///< at ADC 32767 and at duty 32767
@@ -52,8 +53,11 @@ struct ControlConfig {
   float position_gain_nm_rad = 0.0F;    ///< K_P
   float velocity_gain_nm_s_rad = 0.0F;  ///< K_D
   float friction_feedforward = 1.0F;    ///< share of the identified friction
-  float still_velocity_rad_s =
-      0.01F;  ///< below it the direction of friction is the reference's; > 2 encoder counts per tick
+  /// How far the sensed load may depart from the supervisor's model torque (60B2h) and still be carried; what is beyond
+  /// is contact, and the joint yields to it with K_P, K_D. Infinite, or no fresh model torque: all of it is carried.
+  float carried_departure_nm = std::numeric_limits<float>::infinity();
+  /// Slower than this the direction of friction is the reference's; more than two encoder counts per tick.
+  float still_velocity_rad_s = 0.01F;
   float moving_velocity_rad_s = 0.02F;  ///< from it on it is that of the motion itself
   float reference_still_rad_s = 2e-3F;  ///< a reference slower than this fades out of the direction
   CompensatorConfig compensator;
@@ -67,8 +71,8 @@ struct PassiveConfig {
   float torque_dead_band_nm = 1.0F;     ///< at rest: sensed torque below it says nothing
   float torque_full_trend_nm = 5.0F;  ///< at rest: sensed torque from which the trend is whole; at least f_m above the
                                       ///< dead band, or torque and trend chase each other
-  float trend_rate_1_s =
-      50.0F;  ///< fastest change of the trend (-1 .. 1); faster ones shake the joint loose by themselves
+  /// Fastest change of the trend (-1 .. 1); faster ones shake the joint loose by themselves.
+  float trend_rate_1_s = 50.0F;
   Duration blend = milliseconds(3);         ///< active torque fades into passive torque
   float resume_torque_slew_nm_s = 2000.0F;  ///< coming back
   Duration max_time = milliseconds(500);    ///< then active again by itself

@@ -59,9 +59,11 @@ bool usable(const ModuleConfig& c) noexcept {
   ok = ok && not_negative(f.coulomb_nm) && f.static_nm >= f.coulomb_nm && is_finite(f.static_nm) &&
        not_negative(f.stribeck_decay_s2_rad2) && not_negative(f.viscous_nm_s_rad);
   const ControlConfig& k = c.control;
-  ok = ok && positive(k.inertia_kg_m2) && not_negative(k.lambda_1_s) && not_negative(k.position_gain_nm_rad) &&
-       not_negative(k.velocity_gain_nm_s_rad) && not_negative(k.friction_feedforward) &&
-       positive(k.still_velocity_rad_s) && not_negative(k.compensator.position_gain_nm) &&
+  ok = ok && positive(k.inertia_kg_m2) && k.carried_departure_nm >= 0.0F && not_negative(k.lambda_1_s) &&
+       not_negative(k.position_gain_nm_rad) && not_negative(k.velocity_gain_nm_s_rad) &&
+       not_negative(k.friction_feedforward) && positive(k.reference_still_rad_s) &&
+       not_negative(k.still_velocity_rad_s) && k.moving_velocity_rad_s > k.still_velocity_rad_s &&
+       is_finite(k.moving_velocity_rad_s) && not_negative(k.compensator.position_gain_nm) &&
        is_finite(k.compensator.position_width_rad_s);
   for (std::size_t i = 0; i < 4; ++i) {
     ok = ok && not_negative(k.compensator.integral_gain[i]) && not_negative(k.compensator.integral_limit[i]) &&
@@ -251,9 +253,12 @@ void Module::written(can::ObjectId, can::WriteSource source, Time) noexcept {
   if (source == can::WriteSource::sdo) parameters_changed_ = true;
 }
 
-void Module::pdo_delivered(std::uint8_t number, Time) noexcept {
+void Module::pdo_delivered(std::uint8_t number, Time received) noexcept {
   if (number == 2) knot_position_came_ = true;
-  if (number == 3) knot_acceleration_came_ = knots_have_sequence_ = true;
+  if (number == 3) {
+    knot_acceleration_came_ = knots_have_sequence_ = true;
+    model_torque_at_ = received;
+  }
 }
 
 void Module::sync(Time at, std::optional<std::uint8_t> counter) noexcept {
@@ -740,11 +745,16 @@ void Module::watch_motion(Time now) noexcept {
 // ---------------------------------------------------------------------------------------------- control
 
 float Module::control_torque(Time now) noexcept {
+  const float model_nm = static_cast<float>(od_.torque_offset_permille) * 1e-3F * config_.drive.rated_torque_nm;
   if (config_.sensing.torque_sensor) {
     // While the sensor is silent for a moment its last word stands; longer is a fault.
     if (sensing_.joint_torque_nm().valid) load_torque_nm_ = sensing_.joint_torque_nm().value;
+    const float departure = config_.control.carried_departure_nm;
+    if (now - model_torque_at_ <= pll_.period() * 3) {
+      load_torque_nm_ = limit(load_torque_nm_, model_nm - departure, model_nm + departure);
+    }
   } else {
-    load_torque_nm_ = static_cast<float>(od_.torque_offset_permille) * 1e-3F * config_.drive.rated_torque_nm;
+    load_torque_nm_ = model_nm;
   }
   if (selector_.law() == Law::passive) {
     if (!selector_.blending()) passive_.update(evidence());

@@ -142,6 +142,7 @@ class Module final : private can::NodeApplication {
 
   // Control
   float load_torque_nm_ = 0.0F;
+  Time model_torque_at_{-1'000'000'000'000};  ///< when 60B2h last came with a knot
   bool saturated_ = false;
   float max_torque_nm_ = 0.0F;
   Time passive_since_;

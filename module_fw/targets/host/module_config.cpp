@@ -53,8 +53,8 @@ std::uint32_t configuration_hash(const ModuleConfig& c) {
   h.all(f.coulomb_nm, f.static_nm, f.stribeck_decay_s2_rad2, f.viscous_nm_s_rad);
   const ControlConfig& k = c.control;
   h.all(k.inertia_kg_m2, k.lambda_1_s, k.position_gain_nm_rad, k.velocity_gain_nm_s_rad, k.friction_feedforward,
-        k.still_velocity_rad_s, k.moving_velocity_rad_s, k.reference_still_rad_s, k.compensator.enabled,
-        k.compensator.position_gain_nm, k.compensator.position_width_rad_s);
+        k.carried_departure_nm, k.still_velocity_rad_s, k.moving_velocity_rad_s, k.reference_still_rad_s,
+        k.compensator.enabled, k.compensator.position_gain_nm, k.compensator.position_width_rad_s);
   for (std::size_t i = 0; i < 4; ++i) {
     h.all(k.compensator.integral_gain[i], k.compensator.integral_limit[i], k.compensator.robust_gain[i],
           k.compensator.robust_width[i]);

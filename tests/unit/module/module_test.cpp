@@ -326,6 +326,30 @@ TEST(Module, AJointThatABoardStoppedTakesItsReferenceAlongAndIsMetWhereItIs) {
   EXPECT_NEAR(b.status().reference_position_rad, b.joint.motor_q, 5e-3);
 }
 
+// Presses the held joint with 12 Nm; the model torque that comes with the knots is 0.
+double yields_by(float departure_nm) {
+  auto c = test::module_config(test::hammer_joint());
+  c.control.carried_departure_nm = departure_nm;
+  ModuleBench b(test::hammer_joint(), c);
+  EXPECT_TRUE(b.enable());
+  EXPECT_TRUE(b.follow_here());
+  b.run(0.5);
+  const double here = b.joint.motor_q;
+  b.joint.external_nm = 12.0;
+  b.run(0.5);
+  EXPECT_TRUE(b.status().following_knots);
+  return b.joint.motor_q - here;
+}
+
+TEST(Module, YieldsToContactWithItsGainsWhenOnlyTheModelTorqueIsCarried) {
+  EXPECT_LT(yields_by(std::numeric_limits<float>::infinity()), 1e-3)
+      << "all of the load is carried: it stands like a rock";
+  // (12 - 2 - static friction and position compensation) / K_P = 10 mrad at least, (12 - 2) / K_P = 23 at most.
+  const double soft = yields_by(2.0F);
+  EXPECT_GT(soft, 0.010);
+  EXPECT_LT(soft, 0.024);
+}
+
 TEST(Module, ModeMinusOneIsPassiveForPlainClients) {
   ModuleBench b;
   ASSERT_TRUE(b.enable());
