@@ -20,7 +20,8 @@ constexpr Duration kHeartbeatPeriod = milliseconds(50);
 constexpr double kReturnShare = 0.25;  // of the limits, for the unhurried way back
 constexpr double kStartTolerance_rad = 1e-3;
 constexpr double kSelfCheckTolerance = 1e-9;
-constexpr double kRubberGives_m = 0.006;  // largest compression of a hammer face in a blow
+constexpr double kRubberGives_m = 0.006;  // a hammer face gives way by this much before a nail must move
+constexpr double kStillFast = 0.8;        // of the planned impact speed: what is struck does not stop the arm
 constexpr double kLeastArm_m = 0.05;
 /// A joint that ignores its knots for this long is not doing what it is told.
 constexpr int kAstrayCycles = 3;
@@ -137,6 +138,7 @@ SwingProgram program_of(const StrikePlan& plan) {
           .head_position_m = plan.head_position_m,
           .normal = plan.normal,
           .board_distance_m = plan.board_distance_m,
+          .speed_m_s = plan.speed_m_s,
           .q_back_swing = plan.q_back_swing};
 }
 
@@ -200,15 +202,15 @@ bool Supervisor::motion_ended() const noexcept {
   return sync_ >= motion_start_ && sync_period_ * (sync_ - motion_start_) >= motion_.duration();
 }
 
-// Whether the passive arm must be caught now to come to rest before the board. A face that is not past the head by more
-// than its rubber gives is not sinking: on a nail that does not move the blow ends by itself.
+// Whether the passive arm must be caught now to come to rest before the board: the face is past the head by more than
+// its rubber gives, and has hardly slowed down. On a nail that does not move the blow ends by itself.
 bool Supervisor::sinking() const noexcept {
   const ChainPose pose = chain_.pose(sample_.q);
   const Jacobian J_h = chain_.jacobian(pose);
   const double depth_m = (program_.head_position_m - pose.face.position_m).dot(program_.normal);
   if (!(depth_m >= kRubberGives_m)) return false;
   const double speed_m_s = -(J_h * sample_.qd).head<3>().dot(program_.normal);
-  if (!(speed_m_s > 0.0)) return false;
+  if (!(speed_m_s > kStillFast * program_.speed_m_s)) return false;
   double deceleration_m_s2 = std::numeric_limits<double>::infinity();
   for (int i = 0; i < dof_; ++i) {
     if (((program_.passive >> static_cast<unsigned>(i)) & 1U) == 0) continue;
@@ -432,19 +434,13 @@ void Supervisor::advance_activity() noexcept {
         finish_swing();
       }
       break;
-    case Activity::resuming: {
-      bool still = all_follow() && motion_ended();
-      for (int i = 0; i < dof_; ++i) {
-        if (!(std::abs(nodes_[at(i)].measured().velocity_rad_s) < config_.settled_rad_s)) still = false;
-      }
-      still_cycles_ = still ? still_cycles_ + 1 : 0;
-      if (sync_period_ * still_cycles_ >= config_.settled_for) {
+    case Activity::resuming:
+      if (all_follow() && motion_ended()) {
         emit(EventKind::joints_active);
         selection_ = Selection::none;
         begin_return();
       }
       break;
-    }
     case Activity::returning:
       if (motion_ended()) finish_swing();
       break;
@@ -520,7 +516,6 @@ void Supervisor::advance_selection(can::TransmitQueue& tx) noexcept {
 void Supervisor::begin_resume() noexcept {
   send_selection(0, can::SelectionAction::now, now_);
   selection_ = Selection::releasing;
-  still_cycles_ = 0;
   begin_motion(stopping_motion(), Activity::resuming);
 }
 

@@ -26,8 +26,6 @@ struct SupervisorConfig {
   Duration dwell = milliseconds(200);                          ///< at rest before a swing
   Duration arm_ahead = milliseconds(400);           ///< the selection is armed this long before it takes effect
   Duration acknowledge_before = milliseconds(160);  ///< not acknowledged by then: the swing is aborted
-  double settled_rad_s = 0.02;                      ///< slower than this on all joints counts as at rest
-  Duration settled_for = milliseconds(40);
 };
 
 enum class Activity : std::uint8_t {
@@ -106,6 +104,7 @@ struct SwingProgram {
   Eigen::Vector3d head_position_m = Eigen::Vector3d::Zero();
   Eigen::Vector3d normal = Eigen::Vector3d::UnitZ();
   double board_distance_m = 0.0;  ///< head to board: a passive arm that sinks with the nail is caught before
+  double speed_m_s = 0.0;         ///< planned, of the face at impact
   JointVector q_back_swing;
 };
 [[nodiscard]] SwingProgram program_of(const StrikePlan& plan);
@@ -200,7 +199,6 @@ class Supervisor {
   ContactSample sample_;
   SwingOutcome outcome_;
   ContactPhase contact_phase_ = ContactPhase::none;
-  int still_cycles_ = 0;
   int astray_cycles_ = 0;
 
   enum class Selection : std::uint8_t { none, waiting, armed, in_force, releasing };

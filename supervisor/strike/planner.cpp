@@ -28,6 +28,8 @@ constexpr double kBoardRadiusM = 0.10;     // how far around the nail the board 
 constexpr double kLeaveBoardM = 0.01;      // a motion may begin this far inside the board, for a bad estimate
 constexpr double kNailClearanceM = 0.003;  // beside the face
 constexpr double kLongestMotionS = 30.0;
+constexpr double kEvenSwing = 1.4;   // swing time over travel/speed; 2 is speed that only ever grows
+constexpr double kUnhurried = 1.6;   // of the shortest time, where nothing is gained by haste
 constexpr double kLongestSwingS = 3.0;
 constexpr double kDegrees = 180.0 / std::numbers::pi;
 
@@ -100,6 +102,9 @@ class Planner {
   [[nodiscard]] bool below_board(const ChainPose& pose) const;
   [[nodiscard]] bool collides(const JointTrajectory& trajectory, Duration until) const;
   [[nodiscard]] double depth(const JointVector& q) const;
+  [[nodiscard]] Duration whole_knots(double at_least_s) const {
+    return grid_ * static_cast<std::int64_t>(std::ceil(at_least_s / grid_.seconds() - 1e-6));
+  }
   void time_the_switch(const Blow& blow, StrikePlan& plan) const;
 
   const RobotDescription& robot_;
@@ -113,7 +118,8 @@ JointVector Planner::impact_speed_limits() const {
   JointVector qd(dof());
   const double share = robot_.task.max_speed_share * request_.speed_share;
   for (int i = 0; i < dof(); ++i) {
-    const double by_gear = joint_speed_limit_rad_s(robot_.joints[at(i)], request_.contact_duration_s,
+    // The design contact, not the learnt one: a soft nail's long contact is no reason to strike softer.
+    const double by_gear = joint_speed_limit_rad_s(robot_.joints[at(i)], robot_.task.assumed_contact_s,
                                                    robot_.task.impacts_over_momentary_peak);
     qd[i] = share * std::min(by_gear, limits_.velocity_rad_s[i]);
   }
@@ -411,16 +417,19 @@ std::optional<Obstacle> Planner::build_swing(const Blow& blow, StrikePlan& plan,
   const auto up = shortest_duration(robot_, chain_, limits_, at_rest(plan.q_stop), at_rest(q_start), grid_,
                                     seconds(kLongestMotionS), why);
   if (!up) return obstacle("the return is not feasible: ", why, robot_);
+  // A hurried swing must brake again before impact and leaves the arm ringing on the springs of its gears.
+  const Duration in = std::max(*down, whole_knots(kEvenSwing * travel / largest_magnitude(blow.qd)));
+  const Duration out = whole_knots(kUnhurried * up->seconds());
 
   JointTrajectory strike(at_rest(q_start));
-  if (!strike.append(impact, *down) || !strike.append(at_rest(plan.q_stop), stop) ||
-      !strike.append(at_rest(q_start), *up)) {
+  if (!strike.append(impact, in) || !strike.append(at_rest(plan.q_stop), stop) ||
+      !strike.append(at_rest(q_start), out)) {
     return Obstacle{"a trajectory could not be made"};
   }
-  if (collides(strike, *down)) return Obstacle{"the hammer would touch nail or board on the way in"};
+  if (collides(strike, in)) return Obstacle{"the hammer would touch nail or board on the way in"};
   plan.strike = strike;
-  plan.contact_time = *down;
-  plan.stop_time = *down + stop;
+  plan.contact_time = in;
+  plan.stop_time = in + stop;
   plan.q_back_swing = q_start;
   plan.back_swing_rad = travel;
   return std::nullopt;
@@ -437,7 +446,7 @@ std::optional<Obstacle> Planner::build_approach(StrikePlan& plan) const {
     LimitCheck check;
     const auto time =
         shortest_duration(robot_, chain_, limits, way.end(), at_rest(q), grid_, seconds(kLongestMotionS), check);
-    if (time && way.append(at_rest(q), *time)) return true;
+    if (time && way.append(at_rest(q), whole_knots(kUnhurried * time->seconds()))) return true;
     why = {"the way to the back-swing is not feasible: " + describe(check, robot_)};
     return false;
   };

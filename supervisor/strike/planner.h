@@ -86,6 +86,7 @@ struct StrikePlan {
   JointVector qd_impact;  ///< rad/s
   Eigen::Vector3d head_position_m = Eigen::Vector3d::Zero();
   Eigen::Vector3d normal = Eigen::Vector3d::UnitZ();
+  double board_distance_m = 0.0;   ///< head to flush, as requested
   double speed_m_s = 0.0;          ///< of the face along -normal at impact
   double lateral_speed_m_s = 0.0;  ///< at right angles to it
   double tilt_rad = 0.0;

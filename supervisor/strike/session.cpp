@@ -124,10 +124,8 @@ void HammerSession::learn() {
   const ContactReport& contact = outcome.contact;
 
   if (outcome.aborted == AbortReason::none && contact.phase == ContactPhase::over) {
-    // Where the face first felt the head is a fresh measurement of the head's height; what was driven comes off it.
-    const Eigen::Vector3d face = supervisor_.chain().face_pose(contact.q_start).position_m;
-    const double felt = (face - robot_.task.nail_position_m).dot(robot_.task.normal);
-    report.head_height_after_m = felt - std::max(0.0, contact.penetration_m);
+    // The face left the head where the head now is: a fresh measurement, not a sum of penetrations.
+    report.head_height_after_m = (contact.face_end_m - robot_.task.nail_position_m).dot(robot_.task.normal);
     estimator_.learn(*plan_, contact);
   }
   head_height_m_ = std::max(0.0, report.head_height_after_m);

@@ -81,7 +81,7 @@ inline constexpr double kVelocityShare = 0.95;
 inline constexpr double kAccelerationShare = 0.9;
 inline constexpr double kTorqueShare = 0.9;
 /// Of the repeated peak: the springs of the gears overshoot what inverse dynamics of rigid joints asks of them.
-inline constexpr double kTransmissionShare = 0.6;
+inline constexpr double kTransmissionShare = 0.75;
 [[nodiscard]] MotionLimits motion_limits(const RobotDescription& robot);
 
 /// Which limit a motion breaks, by how much, where.
