@@ -18,6 +18,7 @@ constexpr std::int8_t kModePassive = -1;
 constexpr std::int64_t kKnotsAhead = 2;  // knot sent at SYNC k is latched at k+1 and reached at k+2
 constexpr Duration kHeartbeatPeriod = milliseconds(50);
 constexpr double kReturnShare = 0.25;  // of the limits, for the unhurried way back
+constexpr double kEchoStep_rad = 4e-3;  // within the modules' resynchronisation window
 constexpr double kStartTolerance_rad = 1e-3;
 constexpr double kSelfCheckTolerance = 1e-9;
 constexpr double kRubberGives_m = 0.006;  // a hammer face gives way by this much before a nail must move
@@ -567,8 +568,9 @@ void Supervisor::stream_knots(can::TransmitQueue& tx) noexcept {
       reference_.q[i] = before[i];
     } else {
       // Led by nobody (not enabled, passive, or just back): its own position is echoed, so that it takes over from
-      // where it is.
-      reference_.q[i] = measured.position_rad;
+      // where it is. In steps: a joint that takes over while it still moves must not be sent after its own noise.
+      const bool near = std::abs(measured.position_rad - before[i]) <= kEchoStep_rad;
+      reference_.q[i] = near ? before[i] : measured.position_rad;
     }
     reference_.qd[i] = 0.0;
     reference_.qdd[i] = 0.0;

@@ -77,6 +77,8 @@ struct ControlDescription {
   CompensatorDescription compensator;
   double passive_compensation = 0.0;        ///< f_m / f_s, 0 <= . < 0.9; 0: passive without compensation
   double passive_blend_s = 0.003;           ///< time in which active torque fades into passive torque
+  /// A sensed load further than this from the model torque is contact: the joint yields to it instead of carrying it.
+  double carried_departure_nm = 0.0;        ///< default a quarter of the rated torque
   double resume_torque_slew_nm_s = 2000.0;  ///< coming back to active
   double max_passive_s = 0.5;               ///< the module returns to active by itself after this
   double max_passive_travel_rad = 0.35;     ///< ... or after this much motion

@@ -102,6 +102,7 @@ ModuleConfig module_config(const RobotDescription& robot, int joint) {
   c.control.position_gain_nm_rad = narrow(j.control.position_gain_nm_rad);
   c.control.velocity_gain_nm_s_rad = narrow(j.control.velocity_gain_nm_s_rad);
   c.control.friction_feedforward = narrow(j.control.friction_feedforward);
+  c.control.carried_departure_nm = narrow(j.control.carried_departure_nm);
   // The encoder tells motion from rest above two and a half counts per tick.
   const double count_rad = 2.0 * std::numbers::pi / (j.sensors.encoder_counts_per_turn * j.transmission.gear_ratio);
   c.control.still_velocity_rad_s = std::max(narrow(2.5 * count_rad * robot.bus.loop_rate_hz), 5e-3F);
