@@ -17,7 +17,7 @@ namespace {
 constexpr std::int8_t kModePassive = -1;
 constexpr std::int64_t kKnotsAhead = 2;  // knot sent at SYNC k is latched at k+1 and reached at k+2
 constexpr Duration kHeartbeatPeriod = milliseconds(50);
-constexpr double kReturnShare = 0.25;  // of the limits, for the unhurried way back
+constexpr double kReturnShare = 0.4;    // of the limits, for the unhurried way back
 constexpr double kEchoStep_rad = 4e-3;  // within the modules' resynchronisation window
 constexpr double kStartTolerance_rad = 1e-3;
 constexpr double kSelfCheckTolerance = 1e-9;
@@ -561,7 +561,8 @@ void Supervisor::stream_knots(can::TransmitQueue& tx) noexcept {
   if (activity_ != Activity::bringing_up) motion_.sample(sync_period_ * (knot - motion_start_), reference_);
   for (int i = 0; i < dof_; ++i) {
     const NodeMeasurement& measured = nodes_[at(i)].measured();
-    const bool was_passive = activity_ == Activity::resuming && ((program_.passive >> static_cast<unsigned>(i)) & 1U) != 0;
+    const bool was_passive =
+        activity_ == Activity::resuming && ((program_.passive >> static_cast<unsigned>(i)) & 1U) != 0;
     if (measured.follows_knots()) {
       // What took over from its own position stays there until the next motion.
       if (activity_ != Activity::bringing_up && !was_passive) continue;

@@ -30,7 +30,9 @@ bool StrikeEstimator::learn(const StrikePlan& plan, const ContactReport& report)
   nail_mass_kg_ = mobility * config_.max_nail_mass_kg > 1.0 ? 1.0 / mobility : infinity;
 
   // e from the impulse, with the mass this blow showed: (36) or (54) solved for e.
-  const double e = restitution_from_impulse(P, v, plan.effective_mass_kg, fresh_mass);
+  // What the weight of limp joints pressed is no part of the rebound.
+  const double e =
+      restitution_from_impulse(std::max(P - plan.weight_force_n * t, 0.0), v, plan.effective_mass_kg, fresh_mass);
   if (std::isfinite(e)) restitution_ = blend(restitution_, std::clamp(e, 0.0, 1.0));
   contact_s_ = blend(contact_s_, std::clamp(t, config_.min_contact_s, config_.max_contact_s));
 
@@ -44,10 +46,13 @@ bool StrikeEstimator::learn(const StrikePlan& plan, const ContactReport& report)
     sdr_ += middle * resistance;
   }
   depth_m_ += moved;
-  // The nail goes where the reference goes, give or take what the blow adds and the joints give way.
-  const double offset = moved - plan.follow_through_m;
-  offset_m_ = has_offset_ ? config_.memory * offset_m_ + (1.0 - config_.memory) * offset : offset;
-  has_offset_ = true;
+  // The nail goes where the reference goes, give or take what the blow adds and the joints give way. One that did not
+  // move says nothing of that: aiming deeper would only press against it.
+  if (moved > config_.least_penetration_m) {
+    const double offset = moved - plan.follow_through_m;
+    offset_m_ = has_offset_ ? config_.memory * offset_m_ + (1.0 - config_.memory) * offset : offset;
+    has_offset_ = true;
+  }
   ++blows_;
   return true;
 }
@@ -62,7 +67,8 @@ double StrikeEstimator::resistance_n(double depth_m) const noexcept {
 
 double StrikeEstimator::follow_through_for(double wanted_m) const noexcept {
   if (!(wanted_m >= 0.0)) return 0.0;
-  return std::clamp(wanted_m - (has_offset_ ? offset_m_ : 0.0), 0.0, config_.max_follow_through_m);
+  if (!has_offset_) return std::min(wanted_m, config_.first_follow_through_m);
+  return std::clamp(wanted_m - offset_m_, 0.0, config_.max_follow_through_m);
 }
 
 }  // namespace mrr::sup

@@ -17,6 +17,7 @@ struct StrikeEstimateConfig {
   double min_contact_s = 0.02;
   double max_contact_s = 0.2;
   double max_follow_through_m = 0.04;
+  double first_follow_through_m = 0.006;  ///< until a nail has moved: how it answers is not known yet
 };
 
 /// Learns from blow to blow. Starts with what the task assumes and stays within sane bounds whatever it is fed.

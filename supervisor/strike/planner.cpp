@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <Eigen/Cholesky>
+#include <Eigen/LU>
 #include <algorithm>
 #include <bit>
 #include <cmath>
@@ -28,8 +29,8 @@ constexpr double kBoardRadiusM = 0.10;     // how far around the nail the board 
 constexpr double kLeaveBoardM = 0.01;      // a motion may begin this far inside the board, for a bad estimate
 constexpr double kNailClearanceM = 0.003;  // beside the face
 constexpr double kLongestMotionS = 30.0;
-constexpr double kEvenSwing = 1.4;   // swing time over travel/speed; 2 is speed that only ever grows
-constexpr double kUnhurried = 1.6;   // of the shortest time, where nothing is gained by haste
+constexpr double kEvenSwing = 1.4;  // swing time over travel/speed; 2 is speed that only ever grows
+constexpr double kUnhurried = 1.6;  // of the shortest time, where nothing is gained by haste
 constexpr double kLongestSwingS = 3.0;
 constexpr double kDegrees = 180.0 / std::numbers::pi;
 
@@ -105,6 +106,7 @@ class Planner {
   [[nodiscard]] Duration whole_knots(double at_least_s) const {
     return grid_ * static_cast<std::int64_t>(std::ceil(at_least_s / grid_.seconds() - 1e-6));
   }
+  [[nodiscard]] double weight_force(const Blow& blow) const;
   void time_the_switch(const Blow& blow, StrikePlan& plan) const;
 
   const RobotDescription& robot_;
@@ -497,6 +499,30 @@ std::optional<std::string> Planner::build(Blow& blow, StrikePlan& plan) const {
   return first;
 }
 
+/// A contact lasts long enough for gravity to count: active joints carry their share of the arm, passive ones lay it on
+/// the nail, less the friction that is left. F n.J H^-1 J^T n = n.J H^-1 (g - tau_f) over the passive joints.
+double Planner::weight_force(const Blow& blow) const {
+  const ChainPose pose = chain_.pose(blow.pose.q);
+  const JointVector g = chain_.gravity(pose);
+  JointMatrix H = chain_.mass_matrix(pose) + chain_.reflected_inertia(pose, request_.rotors);
+  JointVector limp = JointVector::Zero(dof());
+  for (int i = 0; i < dof(); ++i) {
+    const JointDescription& joint = robot_.joints[at(i)];
+    if ((blow.passive >> i & 1U) == 0) {
+      H(i, i) += blow.loads[at(i)].controlled_inertia_kg_m2;
+      continue;
+    }
+    const double left_nm = joint.friction.coulomb_nm - joint.control.passive_compensation * joint.friction.static_nm;
+    const double magnitude = std::max(std::abs(g[i]) - std::max(left_nm, 0.0), 0.0);
+    limp[i] = g[i] > 0.0 ? -magnitude : magnitude;
+  }
+  const JointVector J_n = chain_.jacobian(pose).topRows<3>().transpose() * request_.normal;
+  const Eigen::PartialPivLU<JointMatrix> solver(H);
+  const JointVector per_force = solver.solve(J_n);
+  const double mobility = J_n.dot(per_force);
+  return mobility > 0.0 ? std::max(-per_force.dot(limp) / mobility, 0.0) : 0.0;
+}
+
 void Planner::time_the_switch(const Blow& blow, StrikePlan& plan) const {
   double blend_s = 0.0;
   double longest_s = kInfinity;
@@ -586,7 +612,10 @@ StrikePlan Planner::plan() {
   plan.passive = blow.passive;
   plan.loads = blow.loads;
   plan.prediction = blow.prediction;
-  plan.impulse_n_s = blow.prediction.impulse_n_s;
+  plan.weight_force_n = weight_force(blow);
+  // The reference's equations know only the instant.
+  const double pressed_s = request_.formulation == Formulation::corrected ? request_.contact_duration_s : 0.0;
+  plan.impulse_n_s = blow.prediction.impulse_n_s + plan.weight_force_n * pressed_s;
   plan.effective_mass_kg = blow.prediction.effective_mass_kg;
   plan.measure = request_.measure;
   plan.measure_value = blow.measure;

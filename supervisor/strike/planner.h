@@ -97,7 +97,8 @@ struct StrikePlan {
   std::uint32_t passive = 0;  ///< bit i = joint i passive at impact (joint order, not selection bits)
   std::array<JointLoad, kMaxJoints> loads{};
   ImpactPrediction prediction;     ///< as planned
-  double impulse_n_s = 0.0;        ///< predicted, as planned
+  double impulse_n_s = 0.0;        ///< predicted, as planned: of the instant, and what the weight presses meanwhile
+  double weight_force_n = 0.0;     ///< of passive joints, on the nail along -normal while the contact lasts
   double effective_mass_kg = 0.0;  ///< 1/(n^T W n), as planned
   StrikeMeasure measure = StrikeMeasure::load_ratio;
   double measure_value = 0.0;

@@ -85,9 +85,7 @@ StrikeRequest HammerSession::next_request() const {
   request.restitution = estimator_.restitution();
   request.nail_mass_kg = estimator_.nail_mass_kg();
   request.contact_duration_s = estimator_.contact_duration_s();
-  request.follow_through_m = estimator_.blows() == 0
-                                 ? options_.first_follow_through_m
-                                 : estimator_.follow_through_for(std::min(head_height_m_, options_.largest_step_m));
+  request.follow_through_m = estimator_.follow_through_for(std::min(head_height_m_, options_.largest_step_m));
   request.mode = options_.mode;
   request.formulation = options_.formulation;
   request.measure = options_.measure;
@@ -126,6 +124,8 @@ void HammerSession::learn() {
   if (outcome.aborted == AbortReason::none && contact.phase == ContactPhase::over) {
     // The face left the head where the head now is: a fresh measurement, not a sum of penetrations.
     report.head_height_after_m = (contact.face_end_m - robot_.task.nail_position_m).dot(robot_.task.normal);
+    // A blow never pulls a nail out. If it looks so, first and last touch are two equally good looks at one place.
+    report.head_height_after_m += 0.5 * std::min(contact.penetration_m, 0.0);
     estimator_.learn(*plan_, contact);
   }
   head_height_m_ = std::max(0.0, report.head_height_after_m);

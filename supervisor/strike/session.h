@@ -19,8 +19,7 @@ struct SessionOptions {
   Formulation formulation = Formulation::corrected;
   StrikeMeasure measure = StrikeMeasure::load_ratio;
   std::uint64_t seed = 1;
-  double first_follow_through_m = 0.006;  ///< of the first blow: how the nail answers is not known yet
-  double largest_step_m = 0.02;           ///< no blow is asked to drive the nail further than this
+  double largest_step_m = 0.02;  ///< no blow is asked to drive the nail further than this
   Duration bring_up_timeout = milliseconds(8000);
 };
 
