@@ -51,8 +51,9 @@ World::World(const RobotDescription& robot, const PlantDescription& plant, const
   modules_.resize(at(dof_));
   for (int i = 0; i < dof_; ++i) {
     Node& node = modules_[at(i)];
-    const fw::ModuleConfig config = fw::module_config(robot, i);
+    fw::ModuleConfig config = fw::module_config(robot, i);
     supervisor.configuration_hash[at(i)] = config.configuration_hash;
+    if (options.flash) options.flash(i, config);
     node.module = std::make_unique<fw::Module>(config);
     node.period = config.tick;
     Random random(options.seed, kModuleStream + at(i));

@@ -23,6 +23,8 @@ struct WorldOptions {
   Duration max_boot_delay = milliseconds(100);  ///< modules start within this
   int queue_capacity = 64;                      ///< frames waiting per node
   sup::SupervisorConfig supervisor;             ///< the expected configuration hashes are filled in
+  /// If given, changes what is flashed into a module; the supervisor expects what the description says (tests).
+  std::function<void(int joint, fw::ModuleConfig&)> flash;
 };
 
 /// When the commanded torque of a joint became what, on the world's clock. ns < 0: not yet.
