@@ -21,6 +21,7 @@ constexpr double kReturnShare = 0.4;    // of the limits, for the unhurried way 
 constexpr double kEchoStep_rad = 4e-3;  // within the modules' resynchronisation window
 constexpr double kStartTolerance_rad = 1e-3;
 constexpr double kSelfCheckTolerance = 1e-9;
+constexpr double kContactGate_m = 0.015;  // how far off the head's height may have been estimated
 constexpr double kRubberGives_m = 0.006;  // a hammer face gives way by this much before a nail must move
 constexpr double kStillFast = 0.8;        // of the planned impact speed: what is struck does not stop the arm
 constexpr double kLeastArm_m = 0.05;
@@ -315,7 +316,7 @@ Refusal Supervisor::execute(const StrikePlan& plan) noexcept {
   }
   program_ = program_of(plan);
   condition_.emplace(chain_, plan, switch_config(robot_));
-  observer_.reset(plan.normal);
+  observer_.reset(plan.normal, plan.head_position_m, kContactGate_m);
   outcome_ = SwingOutcome{};
   for (auto& seen : outcome_.passive_seen) seen = Time{-1};
   selection_ = Selection::none;

@@ -75,8 +75,8 @@ struct ControlDescription {
   double velocity_gain_nm_s_rad = 0.0;  ///< K_D; default 2 lambda J
   double friction_feedforward = 1.0;    ///< share of the identified friction fed forward, 0-1.2
   CompensatorDescription compensator;
-  double passive_compensation = 0.0;        ///< f_m / f_s, 0 <= . < 0.9; 0: passive without compensation
-  double passive_blend_s = 0.003;           ///< time in which active torque fades into passive torque
+  double passive_compensation = 0.0;  ///< f_m / f_s, 0 <= . < 0.9; 0: passive without compensation
+  double passive_blend_s = 0.003;     ///< time in which active torque fades into passive torque
   /// A sensed load further than this from the model torque is contact: the joint yields to it instead of carrying it.
   double carried_departure_nm = 0.0;        ///< default a quarter of the rated torque
   double resume_torque_slew_nm_s = 2000.0;  ///< coming back to active
@@ -169,7 +169,7 @@ struct TaskDescription {
   double flush_tolerance_m = 0.0005;
   int max_swings = 20;
   int still_swings = 3;                      ///< stop after this many swings which moved nothing
-  double still_tolerance_m = 0.0005;         ///< moving less than this is not moving
+  double still_tolerance_m = 0.0015;         ///< smallest motion of the head that can be told; less is not moving
   double impacts_over_momentary_peak = 1e4;  ///< N of equation 59
   double assumed_contact_s = 0.05;           ///< t_s before anything was learnt
   double back_swing_rad = 0.6;               ///< largest joint travel of the back-swing

@@ -7,6 +7,7 @@
 namespace mrr::sup {
 namespace {
 
+constexpr double kStandsOut = 2.5;      // standard deviations: not noise, when a contact is known to follow
 constexpr double kLongestRiseS = 0.06;  // above the noise for longer without a blow: the baseline has moved
 
 }  // namespace
@@ -28,8 +29,10 @@ ContactObserver::ContactObserver(const RobotDescription& robot, const Chain& cha
   reset(Eigen::Vector3d::UnitZ());
 }
 
-void ContactObserver::reset(const Eigen::Vector3d& normal) noexcept {
+void ContactObserver::reset(const Eigen::Vector3d& normal, const Eigen::Vector3d& head_m, double gate_m) noexcept {
   normal_ = normal;
+  head_ = head_m;
+  gate_m_ = gate_m;
   seen_ = 0;
   residual_.setZero(chain_->dof());
   force_n_ = threshold_n_ = baseline_n_ = variance_n2_ = seen_s_ = rising_s_ = 0.0;
@@ -117,7 +120,8 @@ const ContactReport& ContactObserver::step(Time now, const ContactSample& sample
 void ContactObserver::before_contact(double excess, double dt) noexcept {
   threshold_n_ = std::max(config_.min_force_n, config_.sigmas * std::sqrt(variance_n2_));
   const bool settled = seen_s_ >= config_.settle_s;
-  if (settled && excess > threshold_n_) {
+  const bool near = normal_.dot(last_.face - head_) <= gate_m_;
+  if (settled && near && excess > threshold_n_) {
     begin_contact();
     return;
   }
@@ -141,7 +145,7 @@ double ContactObserver::share_in_contact(std::size_t edge, std::size_t inside) c
 
 void ContactObserver::begin_contact() noexcept {
   // Back to the first interval whose force stands out. history_[first - 1] ends where that interval begins.
-  const double low = config_.release_share * threshold_n_;
+  const double low = std::max(config_.release_share * threshold_n_, kStandsOut * std::sqrt(variance_n2_));
   std::size_t first = history_.size() - 1;
   while (first > 1 && over(first - 1) > low) --first;
   double share = first + 1 < history_.size() ? share_in_contact(first, first + 1) : 0.5;
@@ -210,6 +214,10 @@ void ContactObserver::end_contact() noexcept {
   report_.deepest_m = std::max(report_.deepest_m, report_.penetration_m);
   report_.qd_after = qd_after;
   report_.speed_after_m_s = speed_after;
+  if ((report_.end - report_.start).seconds() < config_.min_contact_s) {
+    report_ = {};
+    rising_s_ = 0.0;
+  }
 }
 
 }  // namespace mrr::sup

@@ -4,6 +4,7 @@
 
 #include <array>
 #include <cstdint>
+#include <limits>
 
 #include "common/core/containers.h"
 #include "common/core/time.h"
@@ -15,13 +16,14 @@ namespace mrr::sup {
 struct ContactConfig {
   double residual_gain_1_s = 250.0;  ///< of the momentum observer, for the reported force
   double min_force_n = 4.0;          ///< never triggers below this
-  double sigmas = 6.0;               ///< threshold in standard deviations of the force before contact
+  double sigmas = 4.5;               ///< threshold in standard deviations of the force before contact
   double release_share = 0.4;        ///< contact is over below this share of the threshold
   int release_samples = 2;           ///< ... for that many samples
   double baseline_time_s = 0.04;     ///< time constant of the baseline and its noise, before contact
   double settle_s = 0.02;            ///< no detection before this much was seen since reset()
   double max_gap_s = 0.03;           ///< longer without a sample: the observer starts anew
   double max_contact_s = 0.5;        ///< a contact is closed after this
+  double min_contact_s = 0.015;      ///< what ends sooner was no blow but a jolt of the joints: forgotten
 };
 
 /// One sample, all joints at the same instant (SYNC).
@@ -63,8 +65,10 @@ class ContactObserver {
   /// `chain` must outlive this; the drives' stiffness is copied.
   ContactObserver(const RobotDescription& robot, const Chain& chain, const ContactConfig& config = {});
 
-  /// A new swing. `normal`: unit, from the board into the robot.
-  void reset(const Eigen::Vector3d& normal) noexcept;
+  /// A new swing. `normal`: unit, from the board into the robot. Contact is believed only once the face is within
+  /// `gate_m` of `head_m` (base frame) along it: what the joints feel before is their own motion.
+  void reset(const Eigen::Vector3d& normal, const Eigen::Vector3d& head_m = Eigen::Vector3d::Zero(),
+             double gate_m = std::numeric_limits<double>::infinity()) noexcept;
   /// One sample at `now`. A sample which is not finite, of the wrong size or not later than the last one is skipped and
   /// counted. A gap of more than 5 periods restarts the observer, not the report.
   const ContactReport& step(Time now, const ContactSample& sample) noexcept;
@@ -104,6 +108,8 @@ class ContactObserver {
   ContactConfig config_;
   std::array<TransmissionDescription, kMaxJoints> drive_{};
   Eigen::Vector3d normal_ = Eigen::Vector3d::UnitZ();
+  Eigen::Vector3d head_ = Eigen::Vector3d::Zero();
+  double gate_m_ = std::numeric_limits<double>::infinity();
   Instant last_;
   Instant before_last_;
   int seen_ = 0;  // samples held: 0, 1, 2

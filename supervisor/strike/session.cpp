@@ -7,6 +7,10 @@
 
 namespace mrr::sup {
 
+namespace {
+constexpr double kAnotherLook = 0.4;  // weight of one more look at a head that did not move
+}  // namespace
+
 const char* describe(SessionState state) noexcept {
   switch (state) {
     case SessionState::bring_up:
@@ -121,12 +125,21 @@ void HammerSession::learn() {
   const SwingOutcome& outcome = report.outcome;
   const ContactReport& contact = outcome.contact;
 
+  const TaskDescription& task = robot_.task;
+  double moved_m = 0.0;
   if (outcome.aborted == AbortReason::none && contact.phase == ContactPhase::over) {
-    // The face left the head where the head now is: a fresh measurement, not a sum of penetrations.
-    report.head_height_after_m = (contact.face_end_m - robot_.task.nail_position_m).dot(robot_.task.normal);
-    // A blow never pulls a nail out. If it looks so, first and last touch are two equally good looks at one place.
-    report.head_height_after_m += 0.5 * std::min(contact.penetration_m, 0.0);
-    estimator_.learn(*plan_, contact);
+    // The face left the head where the head now is: a fresh measurement, not a sum of penetrations. Less than the
+    // smallest motion that can be told apart is another look at the same place, and refines it.
+    const double seen_m = (contact.face_end_m - task.nail_position_m).dot(task.normal);
+    if (head_height_m_ - seen_m > task.still_tolerance_m) {
+      moved_m = head_height_m_ - seen_m;
+      report.head_height_after_m = seen_m;
+    } else {
+      report.head_height_after_m = head_height_m_ + kAnotherLook * (seen_m - head_height_m_);
+    }
+    ContactReport blow = contact;
+    blow.penetration_m = moved_m;
+    estimator_.learn(*plan_, blow);
   }
   head_height_m_ = std::max(0.0, report.head_height_after_m);
   swings_.push_back(report);
@@ -139,16 +152,20 @@ void HammerSession::learn() {
     finish(Verdict::nothing_hit,
            fmt::format("swing {} met nothing where the nail's head was expected, {:.1f} mm above the board",
                        report.number, report.head_height_before_m * 1e3));
-  } else if (head_height_m_ <= robot_.task.flush_tolerance_m) {
+  } else if (head_height_m_ <= task.flush_tolerance_m) {
     finish(Verdict::flush,
            fmt::format("the head is flush after {} swing{}", report.number, report.number == 1 ? "" : "s"));
   } else {
-    still_in_a_row_ = contact.penetration_m < robot_.task.still_tolerance_m ? still_in_a_row_ + 1 : 0;
-    if (still_in_a_row_ >= robot_.task.still_swings) {
-      finish(
-          Verdict::nothing_moves,
-          fmt::format("nothing moves: {} swings in a row drove the nail less than {:.1f} mm; it stands {:.1f} mm proud",
-                      still_in_a_row_, robot_.task.still_tolerance_m * 1e3, head_height_m_ * 1e3));
+    still_in_a_row_ = moved_m > 0.0 ? 0 : still_in_a_row_ + 1;
+    if (still_in_a_row_ >= task.still_swings && head_height_m_ <= task.still_tolerance_m) {
+      finish(Verdict::flush, fmt::format("the head is flush as far as the joints can tell ({:.1f} mm): {} swings in a "
+                                         "row moved it no further",
+                                         task.still_tolerance_m * 1e3, still_in_a_row_));
+    } else if (still_in_a_row_ >= task.still_swings) {
+      finish(Verdict::nothing_moves,
+             fmt::format("nothing moves: {} swings in a row drove the nail less than {:.1f} mm; "
+                         "it stands {:.1f} mm proud",
+                         still_in_a_row_, task.still_tolerance_m * 1e3, head_height_m_ * 1e3));
     } else if (report.number >= options_.max_swings) {
       finish(Verdict::swings_used_up, fmt::format("{} swings are used up; the nail stands {:.1f} mm proud",
                                                   report.number, head_height_m_ * 1e3));
