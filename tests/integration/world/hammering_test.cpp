@@ -1,0 +1,120 @@
+// Whole jobs, from a robot that is switched off to a verdict; what the robot says against what the emulator knows.
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "tests/integration/world/whole_robot.h"
+
+namespace mrr::sim::test {
+namespace {
+
+class EverySeed : public testing::TestWithParam<std::uint64_t> {};
+INSTANTIATE_TEST_SUITE_P(Seeds, EverySeed, testing::Range<std::uint64_t>(0, 10));
+
+TEST_P(EverySeed, FoamNailIsFlushWithinSixSwingsAndLimits) {
+  const RobotDescription robot = example("mrr3");
+  ASSERT_DOUBLE_EQ(robot.task.nail_height_m, 0.04);
+  const HammerJobResult job = hammer(robot, "styrofoam", seeded(GetParam()));
+  EXPECT_EQ(job.verdict, sup::Verdict::flush) << job.reason;
+  EXPECT_LE(job.nail_height_m, 0.0005);
+  EXPECT_TRUE(job.really_flush);
+  EXPECT_LE(job.swings.size(), 6U);
+  EXPECT_TRUE(job.within_limits) << job.limit_note;
+  EXPECT_TRUE(job.success());
+}
+
+TEST_P(EverySeed, HardwoodStopsByItselfAndLeavesTheNailWhereItWas) {
+  const RobotDescription robot = example("mrr3");
+  double height_at_start_m = -1.0;  // the seed moves it a little
+  const HammerJobResult job = hammer(robot, "hardwood", seeded(GetParam()), [&](World& world) {
+    world.on_tick = [&](int, Time, const fw::ModuleStatus&) {
+      if (height_at_start_m < 0.0) height_at_start_m = world.plant().truth().nail_height_m;
+    };
+  });
+  EXPECT_EQ(job.verdict, sup::Verdict::nothing_moves) << job.reason;
+  EXPECT_EQ(job.swings.size(), static_cast<std::size_t>(robot.task.still_swings));
+  EXPECT_NEAR(job.nail_height_m, height_at_start_m, 5e-5);
+  EXPECT_NEAR(job.nail_height_m, robot.task.nail_height_m, 1e-3);
+  EXPECT_TRUE(job.within_limits) << job.limit_note;
+  EXPECT_FALSE(job.success());
+  for (const SwingTruth& swing : job.truth) EXPECT_TRUE(swing.hit);
+}
+
+TEST_P(EverySeed, RobotKnowsTheHeightOfTheHead) {
+  const RobotDescription robot = example("mrr3");
+  for (const char* board : {"styrofoam", "hardwood"}) {
+    const HammerJobResult job = hammer(robot, board, seeded(GetParam()));
+    ASSERT_FALSE(job.swings.empty()) << job.reason;
+    for (std::size_t k = 0; k < job.swings.size(); ++k) {
+      // Half of what counts as flush.
+      EXPECT_NEAR(job.swings[k].head_height_after_m, job.truth[k].nail_height_m, robot.task.flush_tolerance_m)
+          << board << ", swing " << k + 1;
+    }
+  }
+}
+
+TEST(Hardwood, GivesUpAfterAsManyStillSwingsAsTheTaskSays) {
+  RobotDescription robot = example("mrr3");
+  for (const int still : {1, 2, 5}) {
+    robot.task.still_swings = still;
+    const HammerJobResult job = hammer(robot, "hardwood", seeded(1));
+    EXPECT_EQ(job.verdict, sup::Verdict::nothing_moves) << job.reason;
+    EXPECT_EQ(job.swings.size(), static_cast<std::size_t>(still));
+  }
+}
+
+TEST(Hardwood, NeverMakesMoreSwingsThanAllowed) {
+  HammerJobOptions options = seeded(1);
+  options.session.max_swings = 2;
+  const HammerJobResult job = hammer(example("mrr3"), "hardwood", options);
+  EXPECT_EQ(job.verdict, sup::Verdict::swings_used_up) << job.reason;
+  EXPECT_EQ(job.swings.size(), 2U);
+}
+
+// What the whole robot is for: the same blow with and without letting go.
+TEST(Passive, JointsCarryClearlyLessThanHeldOnesInTheSameBlow) {
+  const RobotDescription robot = example("mrr3");
+  const PlantDescription plant = plant_on(robot, "hardwood");
+  for (std::uint64_t seed = 0; seed < 6; ++seed) {
+    HammerJobOptions options = seeded(seed);
+    options.session.max_swings = 1;
+    const HammerJobResult planned = run_hammer_job(robot, plant, options);
+    options.session.mode = sup::PassiveMode::never;
+    const HammerJobResult held = run_hammer_job(robot, plant, options);
+    ASSERT_EQ(planned.truth.size(), 1U) << planned.reason;
+    ASSERT_EQ(held.truth.size(), 1U) << held.reason;
+    ASSERT_TRUE(planned.truth[0].hit && held.truth[0].hit);
+    EXPECT_EQ(held.swings[0].plan.passive, 0U);
+    EXPECT_NE(planned.swings[0].plan.passive, 0U) << "nothing to compare";
+    // The same blow: pose and speed are equal, so only the modes differ.
+    EXPECT_NEAR(planned.truth[0].speed_m_s, held.truth[0].speed_m_s, 0.05 * held.truth[0].speed_m_s);
+    for (std::size_t i = 0; i < robot.joints.size(); ++i) {
+      if (!planned_passive(planned.swings[0].plan, i)) continue;
+      EXPECT_LE(planned.truth[0].joints[i].peak_torque_nm, 0.85 * held.truth[0].joints[i].peak_torque_nm)
+          << robot.joints[i].name << ", seed " << seed;
+    }
+  }
+}
+
+TEST(Arm7, RunsToAVerdictOnBothBoards) {
+  const RobotDescription robot = example("arm7");
+  ASSERT_EQ(robot.dof(), 7);
+  const HammerJobResult foam = hammer(robot, "styrofoam", seeded(1));
+  EXPECT_EQ(foam.verdict, sup::Verdict::flush) << foam.reason;
+  EXPECT_TRUE(foam.really_flush);
+  EXPECT_TRUE(foam.within_limits) << foam.limit_note;
+  const HammerJobResult wood = hammer(robot, "hardwood", seeded(1));
+  EXPECT_EQ(wood.verdict, sup::Verdict::nothing_moves) << wood.reason;
+  EXPECT_TRUE(wood.within_limits) << wood.limit_note;
+}
+
+TEST(Job, BusLoadOnTheWireStaysBelowTheComputedWorstCase) {
+  for (const char* name : {"mrr3", "arm7"}) {
+    const HammerJobResult job = hammer(example(name), "styrofoam", seeded(2));
+    EXPECT_GT(job.bus_load, 0.2);
+    EXPECT_LE(job.bus_load, job.bus_load_worst_case) << name;
+  }
+}
+
+}  // namespace
+}  // namespace mrr::sim::test

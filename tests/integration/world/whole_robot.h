@@ -1,0 +1,50 @@
+// The whole robot for tests: the example arms, the boards, jobs in the world, and what a test may do to them.
+#pragma once
+
+#include <filesystem>
+#include <functional>
+#include <string>
+
+#include "common/robot/robot.h"
+#include "sim_vcan/world/hammer_job.h"
+
+namespace mrr::sim::test {
+
+inline const std::filesystem::path kRobots = std::filesystem::path(MRR_SOURCE_DIR) / "robots";
+
+inline RobotDescription example(const char* name) { return load_robot(kRobots / name); }
+
+inline PlantDescription plant_on(const RobotDescription& robot, const std::string& board) {
+  return load_plant(robot, kRobots / "boards" / (board + ".yaml"));
+}
+
+inline HammerJobOptions seeded(std::uint64_t seed) {
+  HammerJobOptions options;
+  options.world.seed = seed;
+  options.session.seed = seed;
+  return options;
+}
+
+inline HammerJobResult hammer(const RobotDescription& robot, const std::string& board, const HammerJobOptions& options,
+                              const std::function<void(World&)>& prepare = {}) {
+  return run_hammer_job(robot, plant_on(robot, board), options, nullptr, nullptr, {}, prepare);
+}
+
+/// A world at rest in its park position, for tests that look on after the session's end.
+inline void put_to_rest(World& world) {
+  std::vector<double> park;
+  for (const JointDescription& joint : world.robot().joints) park.push_back(joint.park_rad);
+  world.reset(park, world.robot().task.nail_height_m);
+}
+
+inline int count(const std::vector<sup::Event>& events, sup::EventKind kind) {
+  int n = 0;
+  for (const sup::Event& event : events) n += event.kind == kind ? 1 : 0;
+  return n;
+}
+
+inline bool planned_passive(const sup::StrikePlan& plan, std::size_t joint) {
+  return ((plan.passive >> joint) & 1U) != 0;
+}
+
+}  // namespace mrr::sim::test
