@@ -40,16 +40,16 @@ TEST_P(EverySeed, HardwoodStopsByItselfAndLeavesTheNailWhereItWas) {
   for (const SwingTruth& swing : job.truth) EXPECT_TRUE(swing.hit);
 }
 
-TEST_P(EverySeed, RobotKnowsTheHeightOfTheHead) {
+// What the next blow is planned with, and what `flush` is judged by.
+TEST_P(EverySeed, RobotKnowsTheHeightOfTheHeadToAMillimetre) {
   const RobotDescription robot = example("mrr3");
   for (const char* board : {"styrofoam", "hardwood"}) {
     const HammerJobResult job = hammer(robot, board, seeded(GetParam()));
     ASSERT_FALSE(job.swings.empty()) << job.reason;
     for (std::size_t k = 0; k < job.swings.size(); ++k) {
-      // Half of what counts as flush.
-      EXPECT_NEAR(job.swings[k].head_height_after_m, job.truth[k].nail_height_m, robot.task.flush_tolerance_m)
-          << board << ", swing " << k + 1;
+      EXPECT_NEAR(job.swings[k].head_height_after_m, job.truth[k].nail_height_m, 1e-3) << board << ", swing " << k + 1;
     }
+    if (job.verdict == sup::Verdict::flush) EXPECT_TRUE(job.really_flush) << board;
   }
 }
 
@@ -86,8 +86,8 @@ TEST(Passive, JointsCarryClearlyLessThanHeldOnesInTheSameBlow) {
     ASSERT_TRUE(planned.truth[0].hit && held.truth[0].hit);
     EXPECT_EQ(held.swings[0].plan.passive, 0U);
     EXPECT_NE(planned.swings[0].plan.passive, 0U) << "nothing to compare";
-    // The same blow: pose and speed are equal, so only the modes differ.
-    EXPECT_NEAR(planned.truth[0].speed_m_s, held.truth[0].speed_m_s, 0.05 * held.truth[0].speed_m_s);
+    // The comparison must not be won by hitting more gently (a joint that let go falls, and arrives a little faster).
+    EXPECT_GE(planned.truth[0].speed_m_s, 0.97 * held.truth[0].speed_m_s);
     for (std::size_t i = 0; i < robot.joints.size(); ++i) {
       if (!planned_passive(planned.swings[0].plan, i)) continue;
       EXPECT_LE(planned.truth[0].joints[i].peak_torque_nm, 0.85 * held.truth[0].joints[i].peak_torque_nm)
