@@ -31,7 +31,7 @@ struct HammerArguments {
   std::string out = "out";
   std::uint64_t seed = 1;
   int swings = 0;
-  sup::PassiveMode mode = sup::PassiveMode::planned;
+  std::string mode = "planned";
   bool as_printed = false;
   bool experiment = false;
   bool json = false;
@@ -86,6 +86,11 @@ int run_published_experiment(const HammerArguments& arguments) {
   return experiment_reproduced(series) ? kExitDone : kExitNotDone;
 }
 
+sup::PassiveMode passive_mode(const std::string& name) {
+  if (name == "never") return sup::PassiveMode::never;
+  return name == "always" ? sup::PassiveMode::always : sup::PassiveMode::planned;
+}
+
 int run(const HammerArguments& arguments) {
   if (arguments.experiment) return run_published_experiment(arguments);
   const RobotDescription robot = load_robot(find_robot(arguments.robot));
@@ -95,7 +100,7 @@ int run(const HammerArguments& arguments) {
   options.world.seed = arguments.seed;
   options.session.seed = arguments.seed;
   options.session.max_swings = arguments.swings;
-  options.session.mode = arguments.mode;
+  options.session.mode = passive_mode(arguments.mode);
   options.session.formulation = arguments.as_printed ? sup::Formulation::as_printed : sup::Formulation::corrected;
 
   std::ostringstream bus_log;
@@ -116,8 +121,9 @@ int run(const HammerArguments& arguments) {
   // its recordings are kept.
   if (result.swings.empty() && result.verdict != sup::Verdict::none) throw PlanError(result.reason);
 
-  nlohmann::ordered_json json = result_json(
-      robot, {arguments.board, arguments.seed, arguments.mode, options.session.formulation}, result, realtime_factor);
+  nlohmann::ordered_json json =
+      result_json(robot, {arguments.board, arguments.seed, options.session.mode, options.session.formulation}, result,
+                  realtime_factor);
   std::vector<ReproducedFigure> tables;
   if (arguments.as_printed) {
     tables = reproduce_tables(load_robot(find_robot("robots/mrr3")));
@@ -157,15 +163,14 @@ void add_hammer_command(CLI::App& app, int& status) {
   command->add_option("--board", arguments->board, "styrofoam, hardwood, or a board's YAML file")
       ->capture_default_str();
   command->add_option("--seed", arguments->seed, "Seed of noise, clocks and tolerances; 0: all nominal")
+      ->check(CLI::NonNegativeNumber)
       ->capture_default_str();
   command->add_option("--out", arguments->out, "Folder for the report and the recordings")->capture_default_str();
   command->add_option("--swings", arguments->swings, "Largest number of swings (default: the task's)")
       ->check(CLI::Range(1, 1000));
-  const std::map<std::string, sup::PassiveMode> modes{
-      {"planned", sup::PassiveMode::planned}, {"never", sup::PassiveMode::never}, {"always", sup::PassiveMode::always}};
   command->add_option("--mode", arguments->mode, "Passive switching: planned, never, or always all joints")
-      ->transform(CLI::CheckedTransformer(modes, CLI::ignore_case))
-      ->default_str("planned");
+      ->check(CLI::IsMember({"planned", "never", "always"}))
+      ->option_text("TEXT=planned");
   command->add_flag("--as-printed", arguments->as_printed,
                     "Evaluate the reference's equations as printed, slips included, and show its tables");
   command->add_flag(
@@ -173,7 +178,11 @@ void add_hammer_command(CLI::App& app, int& status) {
       "Repeat the reference's published hammering experiment and compare; --board and --mode do not apply");
   command->add_flag("--json", arguments->json, "Print one JSON object (docs/result.schema.json) and nothing else");
   command->add_flag("--no-report", arguments->no_report, "Do not make report.html");
-  command->callback([arguments, &status] { status = run(*arguments); });
+  command->callback([arguments, command, &status] {
+    // The experiment is a comparison of nominal values unless told otherwise.
+    if (arguments->experiment && command->count("--seed") == 0) arguments->seed = 0;
+    status = run(*arguments);
+  });
 }
 
 }  // namespace mrr::cli

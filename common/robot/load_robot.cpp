@@ -163,6 +163,7 @@ ControlDescription read_control(const YamlReader& yaml, const JointDescription& 
                      f_m, joint.friction.coulomb_nm));
   }
   c.passive_blend_s = yaml.number("passive_blend", Unit::time, {0.0, 0.05}, c.passive_blend_s);
+  c.friction_by_reference = yaml.boolean("friction_by_reference", false);
   c.carried_departure_nm = yaml.number("carried_departure", Unit::torque, Range::at_least(0.0),
                                        0.25 * joint.transmission.rated_nm);
   c.resume_torque_slew_nm_s =

@@ -73,6 +73,7 @@ struct ControlDescription {
   double lambda_1_s = 0.0;
   double position_gain_nm_rad = 0.0;    ///< K_P; default lambda^2 J
   double velocity_gain_nm_s_rad = 0.0;  ///< K_D; default 2 lambda J
+  bool friction_by_reference = false;   ///< fed forward in the direction of the set points, not of the motion
   double friction_feedforward = 1.0;    ///< share of the identified friction fed forward, 0-1.2
   CompensatorDescription compensator;
   double passive_compensation = 0.0;  ///< f_m / f_s, 0 <= . < 0.9; 0: passive without compensation

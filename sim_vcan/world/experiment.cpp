@@ -14,6 +14,7 @@ namespace mrr::sim {
 namespace {
 
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+constexpr double kFastestSwing_rad_s = 2.6;
 constexpr Duration kSwingTimeLimit = milliseconds(20'000);
 
 std::size_t joint_index(const RobotDescription& robot, const std::string& name, const YamlReader& yaml,
@@ -24,7 +25,8 @@ std::size_t joint_index(const RobotDescription& robot, const std::string& name, 
   yaml.fail(key, "the robot has no joint of that name");
 }
 
-/// The robot as the reference ran it: these gains, no torque sensors, no compensation in passive mode.
+/// The robot as the reference ran it: these gains, model torque instead of torque sensors (the supervisor still reads
+/// them, to know when a blow is over), no compensation in passive mode.
 RobotDescription experiment_robot(const RobotDescription& robot, const Experiment& experiment,
                                   const ExperimentSwing& swing, const Eigen::Vector3d& head) {
   RobotDescription changed = robot;
@@ -32,13 +34,16 @@ RobotDescription experiment_robot(const RobotDescription& robot, const Experimen
   // The blow falls in the home pose whatever the nail's depth: the board is lifted for each swing.
   changed.task.nail_position_m = head - swing.nail_height_m * changed.task.normal;
   for (JointDescription& joint : changed.joints) {
-    joint.sensors.torque_sensor = false;
+    joint.control.carried_departure_nm = 0.0;
     joint.control.compensator.enabled = false;
     joint.control.passive_compensation = 0.0;
     if (joint.name == experiment.swinging_joint || joint.name == experiment.passive_joint) {
+      // Its hardwood swing peaks at 2.5 rad/s, above what 2000 motor rpm give: the module must not refuse it.
+      joint.limits.velocity_rad_s = std::max(joint.limits.velocity_rad_s, kFastestSwing_rad_s);
       joint.control.position_gain_nm_rad = experiment.position_gain_nm_rad;
       joint.control.velocity_gain_nm_s_rad = experiment.velocity_gain_nm_s_rad;
       joint.control.friction_feedforward = experiment.friction_feedforward;
+      joint.control.friction_by_reference = true;
     }
   }
   return changed;

@@ -106,6 +106,7 @@ ModuleConfig module_config(const RobotDescription& robot, int joint) {
   // The encoder tells motion from rest above two and a half counts per tick.
   const double count_rad = 2.0 * std::numbers::pi / (j.sensors.encoder_counts_per_turn * j.transmission.gear_ratio);
   c.control.still_velocity_rad_s = std::max(narrow(2.5 * count_rad * robot.bus.loop_rate_hz), 5e-3F);
+  if (j.control.friction_by_reference) c.control.still_velocity_rad_s = c.sensing.max_plausible_velocity_rad_s;
   c.control.moving_velocity_rad_s = 2.0F * c.control.still_velocity_rad_s;
   const CompensatorDescription& comp = j.control.compensator;
   c.control.compensator.enabled = comp.enabled;
