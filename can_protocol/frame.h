@@ -11,7 +11,8 @@ namespace mrr::can {
 
 inline constexpr std::size_t kMaxPayload = 64;
 
-/// One classic or FD data or remote frame. `length` is the number of payload bytes (0-8 classic; FD: 0-8, 12, 16, 20, 24, 32, 48, 64).
+/// One classic or FD data or remote frame. `length` is the number of payload bytes (0-8 classic; FD: 0-8, 12, 16, 20,
+/// 24, 32, 48, 64).
 struct Frame {
   std::uint32_t id = 0;  ///< 11 bit, or 29 bit when `extended`
   bool extended = false;

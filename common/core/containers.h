@@ -18,7 +18,9 @@ class StaticVector {
   }
   constexpr void clear() noexcept { size_ = 0; }
   /// Keeps the first n elements, n <= size().
-  constexpr void truncate(std::size_t n) noexcept { if (n < size_) size_ = n; }
+  constexpr void truncate(std::size_t n) noexcept {
+    if (n < size_) size_ = n;
+  }
   [[nodiscard]] constexpr std::size_t size() const noexcept { return size_; }
   [[nodiscard]] constexpr bool empty() const noexcept { return size_ == 0; }
   [[nodiscard]] constexpr bool full() const noexcept { return size_ == N; }

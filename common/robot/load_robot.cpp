@@ -164,8 +164,8 @@ ControlDescription read_control(const YamlReader& yaml, const JointDescription& 
   }
   c.passive_blend_s = yaml.number("passive_blend", Unit::time, {0.0, 0.05}, c.passive_blend_s);
   c.friction_by_reference = yaml.boolean("friction_by_reference", false);
-  c.carried_departure_nm = yaml.number("carried_departure", Unit::torque, Range::at_least(0.0),
-                                       0.25 * joint.transmission.rated_nm);
+  c.carried_departure_nm =
+      yaml.number("carried_departure", Unit::torque, Range::at_least(0.0), 0.25 * joint.transmission.rated_nm);
   c.resume_torque_slew_nm_s =
       yaml.number("resume_torque_slew", Unit::torque_rate, Range::positive(1e6), c.resume_torque_slew_nm_s);
   c.max_passive_s = yaml.number("max_passive", Unit::time, Range::positive(10.0), c.max_passive_s);

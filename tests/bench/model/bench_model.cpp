@@ -1,4 +1,5 @@
 // Kinematics and dynamics beside Orocos KDL on the same arms and states, and what planning a blow costs.
+// KDL is called through KdlReference: its conversion to Eigen, and what it allocates, are in its figures.
 
 #include <benchmark/benchmark.h>
 
