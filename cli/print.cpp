@@ -16,14 +16,15 @@ constexpr std::size_t kWidth = 79;
 
 /// Breaks `text` at blanks so that no line is wider than the terminal; continued lines are indented.
 std::string wrapped(const std::string& text, std::size_t indent) {
-  std::string out;
+  const std::size_t margin = std::min(text.find_first_not_of(' '), text.size());
+  std::string out = text.substr(0, margin);
   std::size_t column = 0;
-  std::size_t at = 0;
+  std::size_t at = margin;
   while (at < text.size()) {
     std::size_t end = text.find(' ', at);
     if (end == std::string::npos) end = text.size();
     const std::string word = text.substr(at, end - at);
-    if (column > 0 && column + 1 + word.size() > kWidth) {
+    if (column > 0 && margin + column + 1 + word.size() > kWidth) {
       out += '\n';
       out.append(indent, ' ');
       column = indent;
@@ -97,13 +98,12 @@ std::string swing_text(const RobotDescription& robot, const sup::SwingReport& sw
     const JointDescription& description = robot.joints[i];
     std::string lead;
     if (joint.passive) {
-      lead = std::isfinite(joint.switch_lead_s)
-                 ? fmt::format("passive {:.1f} ms before contact", joint.switch_lead_s * 1e3)
-                 : "was not passive in time";
+      lead = std::isfinite(joint.switch_lead_s) ? fmt::format("passive, lead {:.1f} ms", joint.switch_lead_s * 1e3)
+                                                : "was not passive in time";
     } else {
       lead = "active";
     }
-    text += fmt::format("        {:<12} {:>6.1f} Nm of {:g} rated, {:g} repeated peak; {}\n", description.name,
+    text += fmt::format("        {:<10} {:>6.1f} Nm ({:g} rated, {:g} rep.peak)  {}\n", description.name,
                         joint.peak_torque_nm, description.transmission.rated_nm,
                         description.transmission.repeated_peak_nm, lead);
   }

@@ -97,9 +97,9 @@ std::vector<ReproducedFigure> reproduce_tables(const RobotDescription& robot) {
 std::string tables_text(const std::vector<ReproducedFigure>& figures) {
   std::string text =
       "The reference's tables, from its equations as printed\n"
-      "  table    quantity                                     published  computed\n";
+      "  table    quantity                               published  computed\n";
   for (const ReproducedFigure& figure : figures) {
-    text += fmt::format("  {:<8} {:<44} {:>9.{}f} {:>9.{}f}  {}\n", figure.table, figure.quantity, figure.published,
+    text += fmt::format("  {:<8} {:<38} {:>9.{}f} {:>9.{}f}  {}\n", figure.table, figure.quantity, figure.published,
                         figure.digits, figure.computed, figure.digits, figure.reproduced ? "" : "differs");
     if (!figure.reproduced && !figure.note.empty()) text += fmt::format("           ({})\n", figure.note);
   }

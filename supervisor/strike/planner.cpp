@@ -188,6 +188,8 @@ bool Planner::select(Blow& blow) const {
     c.feasible = prediction.feasible;
     for (int i = 0; c.feasible && i < dof(); ++i) {
       const double carried = std::abs(prediction.axis_impulse_nm_s[i]);
+      const bool active = (passive >> i & 1U) == 0;
+      if (active && carried > blow.loads[at(i)].limits.rated_nm_s) c.overloads_active = true;
       if (carried <= blow.loads[at(i)].limits.repeated_nm_s) continue;
       c.feasible = false;
       c.note = fmt::format("{} would carry {:.3f} Nms, repeated peak allows {:.3f}", robot_.joints[at(i)].name, carried,
@@ -213,9 +215,14 @@ bool Planner::select(Blow& blow) const {
       break;
   }
 
+  // Whoever would carry more than rated while active goes passive if anything helps; after that the lightest load wins.
+  const auto better = [](const SelectionCandidate& a, const SelectionCandidate& b) {
+    if (a.overloads_active != b.overloads_active) return b.overloads_active;
+    return a.load_ratio_per_n_s < b.load_ratio_per_n_s;
+  };
   const SelectionCandidate* best = nullptr;
   for (const SelectionCandidate& c : blow.selections) {
-    if (c.feasible && (best == nullptr || c.load_ratio_per_n_s < best->load_ratio_per_n_s)) best = &c;
+    if (c.feasible && (best == nullptr || better(c, *best))) best = &c;
   }
   if (best == nullptr) {
     blow.why = blow.selections.front().note;
@@ -223,13 +230,16 @@ bool Planner::select(Blow& blow) const {
   }
   const double least = best->load_ratio_per_n_s;
   for (const SelectionCandidate& c : blow.selections) {
-    const bool tie = c.feasible && c.load_ratio_per_n_s <= (1.0 + kTie) * least;
+    const bool tie =
+        c.feasible && c.overloads_active == best->overloads_active && c.load_ratio_per_n_s <= (1.0 + kTie) * least;
     if (tie && std::popcount(c.passive) < std::popcount(best->passive)) best = &c;
   }
   blow.passive = best->passive;
   for (SelectionCandidate& c : blow.selections) {
     if (&c == best) {
       c.note = "chosen";
+    } else if (c.feasible && c.overloads_active && !best->overloads_active) {
+      c.note = "a joint left active would carry more than its rated limit";
     } else if (c.feasible && c.load_ratio_per_n_s <= (1.0 + kTie) * least) {
       c.note = "no lighter, and not fewer joints passive";
     } else if (c.feasible) {

@@ -63,6 +63,7 @@ struct JointLoad {
 struct SelectionCandidate {
   std::uint32_t passive = 0;        ///< bit i = joint i (joint order)
   bool feasible = false;            ///< all loads at most repeated peak
+  bool overloads_active = false;    ///< a joint left active would carry more than its rated limit
   double load_ratio_per_n_s = 0.0;  ///< max_i load/rated per newton second
   double impulse_n_s = 0.0;
   std::string note;  ///< why it lost, or "chosen"
