@@ -54,10 +54,12 @@ std::string mass(double kg, int width) {
 std::string plan_text(const RobotDescription& robot, const sup::StrikePlan& plan) {
   std::string text = "Plan\n";
   text += wrapped("  why     " + plan.why, 10);
-  text += fmt::format("  pose    [{}] rad, one of {} weighed; tilt {:.1f} deg\n", numbers(plan.q_impact, 3),
-                      plan.poses.size(), plan.tilt_rad * 180.0 / std::numbers::pi);
-  text += fmt::format("  speed   {:.3f} m/s along the nail, joints [{}] rad/s\n", plan.speed_m_s,
-                      numbers(plan.qd_impact, 3));
+  text += wrapped(fmt::format("  pose    [{}] rad, one of {} weighed; tilt {:.1f} deg", numbers(plan.q_impact, 3),
+                              plan.poses.size(), plan.tilt_rad * 180.0 / std::numbers::pi),
+                  10);
+  text += wrapped(
+      fmt::format("  speed   {:.3f} m/s along the nail, joints [{}] rad/s", plan.speed_m_s, numbers(plan.qd_impact, 3)),
+      10);
   text += fmt::format("  blow    {:.2f} N s predicted, effective mass of the arm {:.2f} kg\n", plan.impulse_n_s,
                       plan.effective_mass_kg);
   text += fmt::format(
@@ -112,8 +114,8 @@ std::string swing_text(const RobotDescription& robot, const sup::SwingReport& sw
 
 std::string verdict_text(const RobotDescription& robot, const sim::HammerJobResult& result, double realtime_factor) {
   std::string text = wrapped(fmt::format("Verdict: {}.", result.reason), 9);
-  text += fmt::format("  nail    really {:.2f} mm proud ({} is flush within {:.1f} mm)\n", result.nail_height_m * 1e3,
-                      result.really_flush ? "yes, that" : "no,", robot.task.flush_tolerance_m * 1e3);
+  text += fmt::format("  nail    really {:.2f} mm proud: {} (tolerance {:.1f} mm)\n", result.nail_height_m * 1e3,
+                      result.really_flush ? "flush" : "not flush", robot.task.flush_tolerance_m * 1e3);
   text += result.within_limits ? "  limits  kept: no transmission above its repeated peak, no switch too late\n"
                                : wrapped("  limits  broken: " + result.limit_note, 10);
   text += fmt::format("  bus     {:.0f} % loaded on the simulated wire, {:.0f} % computed for the worst case\n",
