@@ -15,7 +15,8 @@ namespace mrr::sup {
 namespace {
 
 constexpr std::int8_t kModePassive = -1;
-constexpr std::int64_t kKnotsAhead = 2;  // knot sent at SYNC k is latched at k+1 and reached at k+2
+constexpr std::int64_t kKnotsAhead = 2;               // knot sent at SYNC k is latched at k+1 and reached at k+2
+constexpr Duration kListenFirst = milliseconds(150);  // for modules that boot together with the supervisor
 constexpr Duration kHeartbeatPeriod = milliseconds(50);
 constexpr double kReturnShare = 0.4;    // of the limits, for the unhurried way back
 constexpr double kEchoStep_rad = 4e-3;  // within the modules' resynchronisation window
@@ -249,8 +250,22 @@ void Supervisor::step(Time now, std::span<const can::ReceivedFrame> received, ca
   }
   watch_nodes();
   if (!cycle_seen_) on_cycle();
-  if (step_count_ % steps_per_sync_ == 0) on_sync(tx);
+  if (step_count_ == 0) started_ = now;
+  if (step_count_ % steps_per_sync_ == 0 && may_sync()) on_sync(tx);
   ++step_count_;
+}
+
+// SYNC carries a counter that modules learn to expect during bring-up: it starts when those that are there know.
+bool Supervisor::may_sync() const noexcept {
+  if (sync_ >= 0) return true;
+  if (now_ - started_ < kListenFirst) return false;
+  bool any = false;
+  for (int i = 0; i < dof_; ++i) {
+    const NodeStage stage = nodes_[at(i)].stage();
+    if (stage == NodeStage::identifying || stage == NodeStage::configuring) return false;
+    any = any || stage == NodeStage::starting;
+  }
+  return any;
 }
 
 void Supervisor::watch_nodes() noexcept {
@@ -283,6 +298,10 @@ void Supervisor::watch_nodes() noexcept {
   }
   if (failed && activity_ != Activity::faulted) {
     const bool in_swing = activity_ != Activity::holding;
+    // Nobody lets go for a blow that will not be, and nobody stays let go.
+    if (selection_ == Selection::armed) send_selection(0, can::SelectionAction::cancel, now_);
+    if (selection_ == Selection::in_force) send_selection(0, can::SelectionAction::now, now_);
+    selection_ = Selection::none;
     motion_ = stopping_motion();
     motion_start_ = sync_ + kKnotsAhead;
     activity_ = Activity::faulted;

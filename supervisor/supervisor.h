@@ -145,6 +145,7 @@ class Supervisor {
  private:
   static constexpr std::size_t at(int i) noexcept { return static_cast<std::size_t>(i); }
   void emit(EventKind kind, int joint = -1, std::uint32_t value = 0) noexcept;
+  [[nodiscard]] bool may_sync() const noexcept;
   void watch_nodes() noexcept;
   void on_sync(can::TransmitQueue& tx) noexcept;
   void on_cycle() noexcept;
@@ -178,6 +179,7 @@ class Supervisor {
   std::array<NodeProblem, kMaxJoints> shown_problem_{};
 
   Time now_;
+  Time started_;
   std::int64_t step_count_ = 0;
   std::int64_t sync_ = -1;  // index of the last SYNC; knot k is reached at SYNC k
   Time first_sync_;

@@ -28,6 +28,12 @@ BusBudget bus_budget(const RobotDescription& robot) {
 }
 
 void require_fits(const RobotDescription& robot, const BusBudget& budget) {
+  if (robot.bus.fd) {
+    throw DescriptionError(
+        fmt::format("{}: bus.fd: true: the modules speak classic CAN; packing several joints into a "
+                    "CAN FD frame is not there yet; set it to false",
+                    (robot.source / "robot.yaml").string()));
+  }
   if (budget.load <= budget.max_load) return;
   throw DescriptionError(fmt::format(
       "{}: bus: {} joints with knots at {:g} Hz load a {:g} kbit/s bus to {:.1f} % in the worst case, but bus.max_load "

@@ -53,6 +53,7 @@ PowerState power_state(std::uint16_t statusword) noexcept {
 constexpr Duration kProbePeriod = milliseconds(200);
 constexpr Duration kCommandPeriod = milliseconds(20);  // a command PDO that has had no effect is repeated
 constexpr Duration kEnableTimeout = milliseconds(2000);
+constexpr std::int64_t kSilentCycles = 8;  // SYNC periods without a word from an enabled node
 constexpr Duration kStartTimeout = milliseconds(1000);
 constexpr Duration kRequestTimeout = milliseconds(100);
 constexpr int kMaxRetries = 3;
@@ -154,6 +155,7 @@ void NodeProxy::receive(const can::ReceivedFrame& received) noexcept {
       measured_.selection_acknowledged = pdo->selection_acknowledged;
       received_in_cycle_ |= 1U;
       received_ever_ |= 1U;
+      last_heard_ = received.at;
     }
   } else if (frame.id == can::kTpdo2CobId + id) {
     if (const auto pdo = can::unpack_tpdo2(frame)) {
@@ -196,9 +198,13 @@ void NodeProxy::step(Time now, can::TransmitQueue& tx) noexcept {
     problem_detail_ = 0;
     enter(NodeStage::identifying, now);
   }
-  const bool silent = heard_ && now - last_heard_ > settings_.heartbeat_timeout;
+  // An enabled node answers every SYNC: its silence shows long before its heartbeat is overdue.
+  const Duration allowed =
+      stage_ == NodeStage::enabled ? settings_.sync_period * kSilentCycles : settings_.heartbeat_timeout;
+  const bool silent = heard_ && now - last_heard_ > allowed;
   if (silent && stage_ != NodeStage::absent && stage_ != NodeStage::lost) {
     problem_ = NodeProblem::heartbeat_lost;
+    heard_ = false;
     received_ever_ = 0;
     measured_.valid = false;
     enter(NodeStage::lost, now);

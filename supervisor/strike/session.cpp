@@ -8,6 +8,7 @@
 namespace mrr::sup {
 
 namespace {
+constexpr int kMisses = 2;            // swings in a row that met nothing
 constexpr double kAnotherLook = 0.4;  // weight of one more look at a head that did not move
 }  // namespace
 
@@ -135,7 +136,10 @@ void HammerSession::learn() {
       moved_m = head_height_m_ - seen_m;
       report.head_height_after_m = seen_m;
     } else {
-      report.head_height_after_m = head_height_m_ + kAnotherLook * (seen_m - head_height_m_);
+      // First touch is a second look, unless a switch has just shaken the joints.
+      const double felt_m = (contact.face_start_m - task.nail_position_m).dot(task.normal);
+      const double look_m = plan_->passive == 0 ? 0.5 * (seen_m + felt_m) : seen_m;
+      report.head_height_after_m = head_height_m_ + kAnotherLook * (look_m - head_height_m_);
     }
     ContactReport blow = contact;
     blow.penetration_m = moved_m;
@@ -148,14 +152,18 @@ void HammerSession::learn() {
     finish(Verdict::joint_fault, fmt::format("a joint failed during swing {}: {}", report.number, bring_up_report()));
   } else if (outcome.aborted != AbortReason::none) {
     finish(Verdict::swing_aborted, fmt::format("swing {} was aborted: {}", report.number, describe(outcome.aborted)));
-  } else if (contact.phase != ContactPhase::over) {
+  } else if (contact.phase != ContactPhase::over && ++misses_in_a_row_ >= kMisses) {
     finish(Verdict::nothing_hit,
-           fmt::format("swing {} met nothing where the nail's head was expected, {:.1f} mm above the board",
-                       report.number, report.head_height_before_m * 1e3));
+           fmt::format("{} swings in a row met nothing where the nail's head was expected, {:.1f} mm above the board",
+                       misses_in_a_row_, report.head_height_before_m * 1e3));
+  } else if (contact.phase != ContactPhase::over) {
+    // A soft blow may go unfelt; where the head is will show in the next one.
+    state_ = SessionState::planning;
   } else if (head_height_m_ <= task.flush_tolerance_m) {
     finish(Verdict::flush,
            fmt::format("the head is flush after {} swing{}", report.number, report.number == 1 ? "" : "s"));
   } else {
+    misses_in_a_row_ = 0;
     still_in_a_row_ = moved_m > 0.0 ? 0 : still_in_a_row_ + 1;
     if (still_in_a_row_ >= task.still_swings && head_height_m_ <= task.still_tolerance_m) {
       finish(Verdict::flush, fmt::format("the head is flush as far as the joints can tell ({:.1f} mm): {} swings in a "

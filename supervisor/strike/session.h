@@ -86,6 +86,7 @@ class HammerSession {
   std::vector<SwingReport> swings_;
   double head_height_m_;
   int still_in_a_row_ = 0;
+  int misses_in_a_row_ = 0;
   bool started_ = false;
   Time started_at_;
 };
