@@ -26,10 +26,20 @@ constexpr double kContactGate_m = 0.015;  // how far off the head's height may h
 constexpr double kRubberGives_m = 0.006;  // a hammer face gives way by this much before a nail must move
 constexpr double kStillFast = 0.8;        // of the planned impact speed: what is struck does not stop the arm
 constexpr double kLeastArm_m = 0.05;
+/// SYNCs between arming and the half turn of the SYNC counter.
+constexpr int kCounterMargin = 10;
 /// A joint that ignores its knots for this long is not doing what it is told.
 constexpr int kAstrayCycles = 3;
 /// A switch that is due this soon anyway is not pulled.
 constexpr Duration kPullMargin = milliseconds(5);
+
+// Reports a fault, or fell silent.
+bool unusable(NodeStage stage) noexcept { return stage == NodeStage::faulted || stage == NodeStage::lost; }
+
+// What no joint of a robot that was brought up may be: a fault, silence, or a boot that made it forget everything.
+bool out_of_action(NodeStage stage) noexcept {
+  return stage != NodeStage::idle && stage != NodeStage::enabling && stage != NodeStage::enabled;
+}
 
 std::uint8_t sync_counter(std::int64_t sync) noexcept {
   return static_cast<std::uint8_t>(sync % kSyncCounterOverflow + 1);
@@ -161,6 +171,15 @@ Supervisor::Supervisor(const RobotDescription& robot, const SupervisorConfig& co
                     "supervisor's step of {:.3f} ms",
                     (robot.source / "robot.yaml").string(), sync_period_.seconds() * 1e3, config.step.seconds() * 1e3));
   }
+  // The modules tell a SYNC to come from one gone by by the nearer way round the counter.
+  config_.arm_ahead = std::min(config_.arm_ahead, sync_period_ * (kSyncCounterOverflow / 2 - kCounterMargin));
+  if (!(config_.arm_ahead > config_.acknowledge_before)) {
+    throw DescriptionError(fmt::format(
+        "{}: bus.knot_rate: {:g} Hz is too fast: a switch can be armed {:.0f} ms ahead at most, and must be "
+        "acknowledged {:.0f} ms ahead; lower bus.knot_rate",
+        (robot.source / "robot.yaml").string(), robot.bus.knot_rate_hz, config_.arm_ahead.seconds() * 1e3,
+        config_.acknowledge_before.seconds() * 1e3));
+  }
   const double difference = model_self_check(robot);
   if (!(difference <= kSelfCheckTolerance)) {
     throw DescriptionError(
@@ -275,23 +294,23 @@ void Supervisor::watch_nodes() noexcept {
     if (node.stage() != shown_stage_[at(i)]) {
       shown_stage_[at(i)] = node.stage();
       emit(EventKind::node_stage, i, static_cast<std::uint32_t>(node.stage()));
+      const bool was_up = activity_ != Activity::bringing_up && activity_ != Activity::faulted;
+      if (unusable(node.stage()) || (was_up && out_of_action(node.stage()))) {
+        emit(EventKind::fault, i, node.problem_detail());
+      }
     }
     if (node.problem() != shown_problem_[at(i)]) {
       shown_problem_[at(i)] = node.problem();
       emit(EventKind::node_problem, i, static_cast<std::uint32_t>(node.problem()));
     }
-    if (node.stage() == NodeStage::faulted || node.stage() == NodeStage::lost) {
-      failed = true;
-      if (activity_ != Activity::faulted) emit(EventKind::fault, i, node.problem_detail());
-    }
+    failed = failed || out_of_action(node.stage());
   }
+  recover_if_asked();
   if (activity_ == Activity::bringing_up) {
     // Old motions died with the fault or were never there: each joint was led from where it said it was.
     if (all_follow()) {
       reference_ = at_rest(reference_.q);
-      motion_ = JointTrajectory(reference_);
-      motion_start_ = sync_ + kKnotsAhead;
-      activity_ = Activity::holding;
+      begin_motion(JointTrajectory(reference_), Activity::holding);
       emit(EventKind::all_enabled);
     }
     return;
@@ -302,9 +321,7 @@ void Supervisor::watch_nodes() noexcept {
     if (selection_ == Selection::armed) send_selection(0, can::SelectionAction::cancel, now_);
     if (selection_ == Selection::in_force) send_selection(0, can::SelectionAction::now, now_);
     selection_ = Selection::none;
-    motion_ = stopping_motion();
-    motion_start_ = sync_ + kKnotsAhead;
-    activity_ = Activity::faulted;
+    begin_motion(stopping_motion(), Activity::faulted);
     if (in_swing) {
       outcome_.aborted = AbortReason::joint_fault;
       outcome_.contact = observer_.report();
@@ -314,20 +331,28 @@ void Supervisor::watch_nodes() noexcept {
   } else if (!all_follow() && activity_ == Activity::holding) {
     activity_ = Activity::bringing_up;
   }
-  if (recover_wanted_) {
-    recover_wanted_ = false;
-    if (activity_ == Activity::faulted) {
-      for (int i = 0; i < dof_; ++i) {
-        if (nodes_[at(i)].stage() == NodeStage::faulted) nodes_[at(i)].reset_fault();
-      }
-      activity_ = Activity::bringing_up;
-    }
+}
+
+void Supervisor::recover_if_asked() noexcept {
+  if (!recover_wanted_) return;
+  // The other joints come to rest first: bring-up leads nobody who moves.
+  if (activity_ == Activity::faulted && !motion_ended()) return;
+  recover_wanted_ = false;
+  if (activity_ != Activity::faulted && activity_ != Activity::bringing_up) return;
+  for (int i = 0; i < dof_; ++i) {
+    if (nodes_[at(i)].stage() == NodeStage::faulted) nodes_[at(i)].reset_fault();
   }
+  activity_ = Activity::bringing_up;
 }
 
 Refusal Supervisor::execute(const StrikePlan& plan) noexcept {
   if (activity_ != Activity::holding) return Refusal::not_ready;
   if (plan.approach.dof() != dof_ || plan.strike.dof() != dof_ || !(plan.strike.duration() > Duration{})) {
+    return Refusal::not_usable;
+  }
+  // The switch must come within the swing, and only to joints there are.
+  if ((plan.passive >> static_cast<unsigned>(dof_)) != 0 ||
+      (plan.passive != 0 && !(plan.switch_time > Duration{} && plan.switch_time < plan.strike.duration()))) {
     return Refusal::not_usable;
   }
   if (!((plan.approach.start().q - reference_.q).cwiseAbs().maxCoeff() <= kStartTolerance_rad)) {
@@ -347,7 +372,7 @@ Refusal Supervisor::execute(const StrikePlan& plan) noexcept {
 
 void Supervisor::begin_motion(const JointTrajectory& trajectory, Activity activity) noexcept {
   motion_ = trajectory;
-  motion_start_ = sync_ + kKnotsAhead;
+  motion_start_ = last_knot_;
   activity_ = activity;
   activity_since_ = now_;
 }
@@ -412,12 +437,32 @@ void Supervisor::on_cycle() noexcept {
   if (activity_ == Activity::swinging && contact_phase_ == ContactPhase::none) condition_->step(sample_.q, sample_.qd);
 }
 
+void Supervisor::stop_now() noexcept {
+  switch (activity_) {
+    case Activity::approaching:
+    case Activity::dwelling:
+    case Activity::swinging:
+    case Activity::returning:
+      abort_swing(AbortReason::stop_requested);
+      break;
+    case Activity::resuming:  // the joints are on their way to rest: what is left is not to go back
+      if (outcome_.aborted == AbortReason::none) {
+        outcome_.aborted = AbortReason::stop_requested;
+        emit(EventKind::swing_aborted, -1, static_cast<std::uint32_t>(AbortReason::stop_requested));
+      }
+      break;
+    case Activity::bringing_up:
+    case Activity::holding:
+    case Activity::stopping:
+    case Activity::faulted:
+      break;
+  }
+}
+
 void Supervisor::advance_activity() noexcept {
   if (stop_wanted_) {
     stop_wanted_ = false;
-    if (activity_ != Activity::holding && activity_ != Activity::bringing_up && activity_ != Activity::faulted) {
-      abort_swing(AbortReason::stop_requested);
-    }
+    stop_now();
   }
   if (activity_ == Activity::approaching || activity_ == Activity::dwelling || activity_ == Activity::swinging ||
       activity_ == Activity::returning) {
@@ -459,7 +504,11 @@ void Supervisor::advance_activity() noexcept {
       if (all_follow() && motion_ended()) {
         emit(EventKind::joints_active);
         selection_ = Selection::none;
-        begin_return();
+        if (outcome_.aborted == AbortReason::stop_requested) {
+          finish_swing();
+        } else {
+          begin_return();
+        }
       }
       break;
     case Activity::returning:
@@ -488,20 +537,25 @@ void Supervisor::send_selection(std::uint32_t passive, can::SelectionAction acti
   acknowledged_ = false;
 }
 
-bool Supervisor::all_acknowledged() const noexcept {
-  for (int i = 0; i < dof_; ++i) {
-    const std::uint8_t acknowledged = nodes_[at(i)].measured().selection_acknowledged;
-    if (can::acknowledged_sequence(acknowledged) != selection_sequence_) return false;
-    if ((acknowledged >> 5U) == static_cast<unsigned>(can::SelectionState::refused)) return false;
-  }
-  return true;
+bool Supervisor::acknowledged(const NodeProxy& node) const noexcept {
+  const std::uint8_t acknowledged = node.measured().selection_acknowledged;
+  if (can::acknowledged_sequence(acknowledged) != selection_sequence_) return false;
+  const unsigned state = acknowledged >> 5U;
+  // A module that had this sequence from an earlier supervisor takes the order for a repetition and arms nothing.
+  if (command_.action == can::SelectionAction::arm) return state == static_cast<unsigned>(can::SelectionState::armed);
+  return state != static_cast<unsigned>(can::SelectionState::refused);
 }
 
 void Supervisor::advance_selection(can::TransmitQueue& tx) noexcept {
-  if (command_pending_ && all_acknowledged()) {
-    command_pending_ = false;
+  if (command_pending_) {
     acknowledged_ = true;
-    if (selection_ == Selection::armed) emit(EventKind::selection_acknowledged);
+    command_pending_ = false;  // nobody who could still hear it: it must not wait for a joint that comes back
+    for (int i = 0; i < dof_; ++i) {
+      if (acknowledged(nodes_[at(i)])) continue;
+      acknowledged_ = false;
+      command_pending_ = command_pending_ || nodes_[at(i)].stage() == NodeStage::enabled;
+    }
+    if (acknowledged_ && selection_ == Selection::armed) emit(EventKind::selection_acknowledged);
   }
   if (activity_ == Activity::swinging) {
     if (selection_ == Selection::waiting && outcome_.switch_effective - now_ <= config_.arm_ahead) {
@@ -513,12 +567,10 @@ void Supervisor::advance_selection(can::TransmitQueue& tx) noexcept {
       const SwitchState& condition = condition_->state();
       outcome_.switch_state = condition;
       if (!acknowledged_ && outcome_.switch_effective - now_ <= config_.acknowledge_before) {
-        send_selection(0, can::SelectionAction::cancel, now_);
-        emit(EventKind::selection_cancelled);
+        withdraw_selection();
         abort_swing(AbortReason::not_acknowledged);
       } else if (condition.verdict == SwitchVerdict::cancel) {
-        send_selection(0, can::SelectionAction::cancel, now_);
-        emit(EventKind::selection_cancelled);
+        withdraw_selection();
         abort_swing(AbortReason::condition);
       } else if (now_ >= outcome_.switch_effective) {
         selection_ = Selection::in_force;
@@ -556,12 +608,22 @@ void Supervisor::begin_return() noexcept {
   begin_motion(trajectory, Activity::returning);
 }
 
+void Supervisor::withdraw_selection() noexcept {
+  send_selection(0, can::SelectionAction::cancel, now_);
+  selection_ = Selection::none;
+  emit(EventKind::selection_cancelled);
+}
+
 void Supervisor::abort_swing(AbortReason reason) noexcept {
   outcome_.aborted = reason;
   emit(EventKind::swing_aborted, -1, static_cast<std::uint32_t>(reason));
   if (selection_ == Selection::in_force || selection_ == Selection::releasing) {
     begin_resume();
   } else {
+    // Too late to come to rest before the head, a switch that is armed stays: better struck passive than stiff.
+    if (selection_ == Selection::armed && outcome_.switch_effective - now_ > config_.acknowledge_before) {
+      withdraw_selection();
+    }
     selection_ = Selection::none;
     begin_motion(stopping_motion(), Activity::stopping);
   }
@@ -576,9 +638,9 @@ void Supervisor::finish_swing() noexcept {
 }
 
 void Supervisor::stream_knots(can::TransmitQueue& tx) noexcept {
-  const std::int64_t knot = sync_ + kKnotsAhead;
+  last_knot_ = sync_ + kKnotsAhead;
   const JointVector before = reference_.q;
-  if (activity_ != Activity::bringing_up) motion_.sample(sync_period_ * (knot - motion_start_), reference_);
+  if (activity_ != Activity::bringing_up) motion_.sample(sync_period_ * (last_knot_ - motion_start_), reference_);
   for (int i = 0; i < dof_; ++i) {
     const NodeMeasurement& measured = nodes_[at(i)].measured();
     const bool was_passive =

@@ -124,9 +124,10 @@ class Supervisor {
   void enable(bool wanted) noexcept { wanted_ = wanted; }
   /// Run a swing. Accepted only when holding, and only if it starts where the robot is.
   [[nodiscard]] Refusal execute(const StrikePlan& plan) noexcept;
-  /// Controlled stop, then hold.
+  /// Controlled stop, then hold. While joints are passive, once they are back.
   void stop() noexcept { stop_wanted_ = true; }
-  /// Acknowledge faults; joints are brought up again and held where they are.
+  /// Acknowledge the faults there are now; joints are brought up again, as soon as all are at rest, and held where they
+  /// are.
   void recover() noexcept { recover_wanted_ = true; }
 
   [[nodiscard]] Activity activity() const noexcept { return activity_; }
@@ -147,6 +148,8 @@ class Supervisor {
   void emit(EventKind kind, int joint = -1, std::uint32_t value = 0) noexcept;
   [[nodiscard]] bool may_sync() const noexcept;
   void watch_nodes() noexcept;
+  void recover_if_asked() noexcept;
+  void stop_now() noexcept;
   void on_sync(can::TransmitQueue& tx) noexcept;
   void on_cycle() noexcept;
   void advance_activity() noexcept;
@@ -158,9 +161,10 @@ class Supervisor {
   void abort_swing(AbortReason reason) noexcept;
   void finish_swing() noexcept;
   [[nodiscard]] JointTrajectory stopping_motion() const noexcept;
+  void withdraw_selection() noexcept;
   void send_selection(std::uint32_t passive, can::SelectionAction action, Time effective) noexcept;
   [[nodiscard]] std::uint32_t wire_mask(std::uint32_t passive) const noexcept;
-  [[nodiscard]] bool all_acknowledged() const noexcept;
+  [[nodiscard]] bool acknowledged(const NodeProxy& node) const noexcept;
   [[nodiscard]] Time knot_time(std::int64_t knot) const noexcept { return first_sync_ + sync_period_ * knot; }
   [[nodiscard]] bool motion_ended() const noexcept;
   [[nodiscard]] bool sinking() const noexcept;
@@ -193,6 +197,7 @@ class Supervisor {
   Time activity_since_;
   JointTrajectory motion_;
   std::int64_t motion_start_ = 0;  // knot at which motion_ is at t = 0
+  std::int64_t last_knot_ = 0;     // the last one sent; reference_ is what it said
   JointMotion reference_;
   std::uint16_t knot_sequence_ = 0;
   SwingProgram program_;

@@ -1,5 +1,6 @@
 #include "supervisor/master/node_proxy.h"
 
+#include <algorithm>
 #include <array>
 
 namespace mrr::sup {
@@ -57,6 +58,7 @@ constexpr std::int64_t kSilentCycles = 8;  // SYNC periods without a word from a
 constexpr Duration kStartTimeout = milliseconds(1000);
 constexpr Duration kRequestTimeout = milliseconds(100);
 constexpr int kMaxRetries = 3;
+constexpr int kMaxResets = 5;  // a fault that outlasts them needs another acknowledgement
 
 /// Bring-up requests in order. 1019h may change only while 1006h is 0.
 struct Request {
@@ -130,6 +132,8 @@ const char* describe(NodeStage stage) noexcept {
 NodeProxy::NodeProxy(const NodeSettings& settings) noexcept
     : settings_(settings), sdo_(settings.node_id, kRequestTimeout) {}
 
+void NodeProxy::reset_fault() noexcept { resets_left_ = kMaxResets; }
+
 void NodeProxy::enter(NodeStage stage, Time now) noexcept {
   stage_ = stage;
   stage_since_ = now;
@@ -199,8 +203,8 @@ void NodeProxy::step(Time now, can::TransmitQueue& tx) noexcept {
     enter(NodeStage::identifying, now);
   }
   // An enabled node answers every SYNC: its silence shows long before its heartbeat is overdue.
-  const Duration allowed =
-      stage_ == NodeStage::enabled ? settings_.sync_period * kSilentCycles : settings_.heartbeat_timeout;
+  Duration allowed = settings_.heartbeat_timeout;
+  if (stage_ == NodeStage::enabled) allowed = std::min(allowed, settings_.sync_period * kSilentCycles);
   const bool silent = heard_ && now - last_heard_ > allowed;
   if (silent && stage_ != NodeStage::absent && stage_ != NodeStage::lost) {
     problem_ = NodeProblem::heartbeat_lost;
@@ -314,14 +318,19 @@ void NodeProxy::step_power(Time now, can::TransmitQueue& tx) noexcept {
       problem_detail_ = measured_.error_or_limit >= 0x1000U ? measured_.error_or_limit : last_emergency_;
       enter(NodeStage::faulted, now);
     }
-    if (reset_wanted_ && state == PowerState::fault) {
-      // The bit acts on its rising edge only.
-      send_controlword(controlword_ == kFaultReset ? kDisableVoltage : kFaultReset, now, tx);
+    if (resets_left_ > 0 && state == PowerState::fault && now - last_command_ >= kCommandPeriod) {
+      // The bit acts on its rising edge only; an edge may be lost on the wire.
+      if (controlword_ == kFaultReset) {
+        send_controlword(kDisableVoltage, now, tx);
+      } else {
+        --resets_left_;
+        send_controlword(kFaultReset, now, tx);
+      }
     }
     return;
   }
   if (stage_ == NodeStage::faulted) {
-    reset_wanted_ = false;
+    resets_left_ = 0;
     problem_ = NodeProblem::none;
     problem_detail_ = 0;
     enter(NodeStage::idle, now);

@@ -78,8 +78,8 @@ class NodeProxy {
 
   /// Whether the node shall be enabled. Falling back takes power away in a controlled way.
   void want_enabled(bool wanted) noexcept { wanted_ = wanted; }
-  /// Acknowledge a fault: one fault reset, then bring-up goes on.
-  void reset_fault() noexcept { reset_wanted_ = true; }
+  /// Acknowledge a fault: fault resets until it takes, a few at most, then bring-up goes on.
+  void reset_fault() noexcept;
 
   /// Forget which PDOs came: a new SYNC goes out.
   void begin_cycle() noexcept { received_in_cycle_ = 0; }
@@ -107,7 +107,7 @@ class NodeProxy {
   std::uint8_t received_ever_ = 0;
   std::uint16_t last_emergency_ = 0;
   bool wanted_ = false;
-  bool reset_wanted_ = false;
+  int resets_left_ = 0;
   bool heard_ = false;
   bool booted_ = false;
   can::NmtState nmt_state_ = can::NmtState::initialising;
