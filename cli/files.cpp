@@ -29,7 +29,7 @@ fs::path data_root() {
 
 fs::path find_robot(const fs::path& path) {
   if (fs::is_directory(path)) return path;
-  const fs::path shipped = data_root() / path;
+  fs::path shipped = data_root() / path;
   if (path.is_relative() && fs::is_directory(shipped)) return shipped;
   throw DescriptionError(
       fmt::format("{}: no such robot folder here or in {}; a robot folder holds robot.urdf and "
@@ -40,7 +40,7 @@ fs::path find_robot(const fs::path& path) {
 fs::path find_board(const std::string& name_or_path) {
   if (fs::is_regular_file(name_or_path)) return name_or_path;
   const fs::path boards = data_root() / "robots" / "boards";
-  const fs::path shipped = boards / (name_or_path + ".yaml");
+  fs::path shipped = boards / (name_or_path + ".yaml");
   if (fs::is_regular_file(shipped)) return shipped;
   std::string names;
   for (const fs::directory_entry& entry : fs::directory_iterator(boards)) {
