@@ -456,6 +456,9 @@ def dbc(schema, nodes):
     message(0x000, "nmt", 2, "supervisor", [("nmt_command", 0, 8, False, 1, "", "Vector__XXX"),
                                             ("nmt_node", 8, 8, False, 1, "", "Vector__XXX")])
     message(0x080, "sync", 1, "supervisor", [("sync_counter", 0, 8, False, 1, "", "Vector__XXX")])
+    message(0x701, "supervisor_heartbeat", 1, "supervisor", [("nmt_state", 0, 8, False, 1, "", "Vector__XXX")])
+    nmt_states = '0 "boot_up" 4 "stopped" 5 "operational" 127 "pre_operational"'
+    values.append(f"VAL_ {0x701} nmt_state {nmt_states} ;")
     for pdo in schema.rpdos:
         cob = schema.by_name[f"{pdo['name']}_cob_id"]
         size = sum(e.size for e in pdo["entries"])
@@ -476,7 +479,13 @@ def dbc(schema, nodes):
                 [("emergency_code", 0, 16, False, 1, "", "supervisor"), ("emergency_register", 16, 8, False, 1, "", "supervisor"),
                  ("emergency_detail", 24, 40, False, 1, "", "supervisor")])
         message(0x700 + node, f"{name}_heartbeat", 1, name, [("nmt_state", 0, 8, False, 1, "", "supervisor")])
-        values.append(f'VAL_ {0x700 + node} nmt_state 0 "boot_up" 4 "stopped" 5 "operational" 127 "pre_operational" ;')
+        values.append(f'VAL_ {0x700 + node} nmt_state {nmt_states} ;')
+        for can_id, what, sender, receiver in ((0x600 + node, "sdo_request", "supervisor", name),
+                                               (0x580 + node, "sdo_answer", name, "supervisor")):
+            message(can_id, f"{name}_{what}", 8, sender,
+                    [(f"sdo_{part}", at, bits, False, 1, "", receiver) for part, at, bits in
+                     (("command", 0, 8), ("index", 8, 16), ("sub_index", 24, 8), ("data", 32, 32))])
+            comments.append(f'CM_ BO_ {can_id} "Parameter access; segments of long values use all eight bytes otherwise";')
         table = " ".join(f'{e["code"]} "{e["name"]}"' for e in schema.emergencies)
         values.append(f"VAL_ {0x080 + node} emergency_code {table} ;")
     return "\n".join(out + comments + values) + "\n"
