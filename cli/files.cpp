@@ -28,16 +28,24 @@ fs::path data_root() {
 }
 
 fs::path find_robot(const fs::path& path) {
+  if (path.empty()) throw DescriptionError("--robot is empty; give a folder that holds robot.urdf and robot.yaml");
   if (fs::is_directory(path)) return path;
-  fs::path shipped = data_root() / path;
-  if (path.is_relative() && fs::is_directory(shipped)) return shipped;
-  throw DescriptionError(
-      fmt::format("{}: no such robot folder here or in {}; a robot folder holds robot.urdf and "
-                  "robot.yaml",
-                  path.string(), data_root().string()));
+  const fs::path root = data_root();
+  for (const fs::path& shipped : {root / path, root / "robots" / path}) {
+    if (path.is_relative() && fs::is_directory(shipped)) return shipped;
+  }
+  std::string names;
+  for (const fs::directory_entry& entry : fs::directory_iterator(root / "robots")) {
+    if (fs::is_regular_file(entry.path() / "robot.urdf")) {
+      names += (names.empty() ? "" : ", ") + entry.path().filename().string();
+    }
+  }
+  throw DescriptionError(fmt::format(
+      "{}: no such robot; give a folder that holds robot.urdf and robot.yaml, or one of: {}", path.string(), names));
 }
 
 fs::path find_board(const std::string& name_or_path) {
+  if (name_or_path.empty()) throw DescriptionError("--board is empty; give a board's name or its YAML file");
   if (fs::is_regular_file(name_or_path)) return name_or_path;
   const fs::path boards = data_root() / "robots" / "boards";
   fs::path shipped = boards / (name_or_path + ".yaml");
@@ -64,7 +72,13 @@ void write_whole(const fs::path& file, const std::function<void(std::ostream&)>&
       throw DescriptionError(fmt::format("{}: writing failed; is the disk full?", file.string()));
     }
   }
-  fs::rename(partial, file);
+  std::error_code error;
+  fs::rename(partial, file, error);
+  if (error) {
+    std::error_code ignored;
+    fs::remove(partial, ignored);
+    throw DescriptionError(fmt::format("{}: cannot be put in place: {}", file.string(), error.message()));
+  }
 }
 
 }  // namespace mrr::cli

@@ -50,11 +50,23 @@ bool make_report(const fs::path& out) {
   return waitpid(child, &status, 0) == child && WIFEXITED(status) && WEXITSTATUS(status) == 0;
 }
 
-/// Makes the folder for the files; throws DescriptionError.
+/// Says so before anything runs if no folder can be made of this.
+void require_folder(const std::string& name) {
+  if (name.empty()) throw DescriptionError("--out is empty; give a folder");
+  std::error_code ignored;
+  if (fs::exists(name, ignored) && !fs::is_directory(name, ignored)) {
+    throw DescriptionError(fmt::format("--out {}: there is a file of that name; give a folder", name));
+  }
+}
+
+/// Makes the folder for the files and takes away the report of an earlier run; throws DescriptionError.
 fs::path make_folder(const std::string& name) {
   std::error_code error;
   fs::create_directories(name, error);
-  if (error) throw DescriptionError(fmt::format("{}: cannot be made: {}", name, error.message()));
+  if (error)
+    throw DescriptionError(
+        fmt::format("--out {}: cannot be made: {}; give a folder you may write to", name, error.message()));
+  fs::remove(fs::path(name) / "report.html", error);
   return name;
 }
 
@@ -77,13 +89,18 @@ int run_published_experiment(const HammerArguments& arguments) {
                                  {"reproduced", experiment_reproduced(series)},
                                  {"series", experiment_json(series)}};
   const fs::path out = make_folder(arguments.out);
+  std::error_code ignored;
+  for (const char* name : {"result.json", "telemetry.csv", "bus.log"}) fs::remove(out / name, ignored);
   write_whole(out / "experiment.json", [&](std::ostream& file) { file << json.dump(2) << '\n'; });
+  const bool reported = arguments.no_report || make_report(out);
   if (arguments.json) {
     fmt::print("{}\n", json.dump(2));
   } else {
     fmt::print("MRR: the reference's hammering experiment, {}\n\n{}", robot.name, experiment_text(series));
+    fmt::print("  files   {}/: {}experiment.json\n", out.string(),
+               arguments.no_report || !reported ? "" : "report.html, ");
   }
-  return experiment_reproduced(series) ? kExitDone : kExitNotDone;
+  return experiment_reproduced(series) && reported ? kExitDone : kExitNotDone;
 }
 
 sup::PassiveMode passive_mode(const std::string& name) {
@@ -92,6 +109,7 @@ sup::PassiveMode passive_mode(const std::string& name) {
 }
 
 int run(const HammerArguments& arguments) {
+  require_folder(arguments.out);
   if (arguments.experiment) return run_published_experiment(arguments);
   const RobotDescription robot = load_robot(find_robot(arguments.robot));
   const sim::PlantDescription plant = sim::load_plant(robot, find_board(arguments.board));
@@ -117,9 +135,11 @@ int run(const HammerArguments& arguments) {
   const double realtime_factor = result.simulated_s / wall_s;
   bar.clear();
 
-  // Nothing was ever swung, so there is nothing to report: the reason is all there is. A session that hung is a defect;
-  // its recordings are kept.
-  if (result.swings.empty() && result.verdict != sup::Verdict::none) throw PlanError(result.reason);
+  // Nothing was ever swung, so there is nothing to report: the reason is all there is. If time ran out instead, what
+  // was recorded is kept.
+  if (result.swings.empty() && result.verdict != sup::Verdict::none) {
+    throw PlanError(fmt::format("{}: {}", (robot.source / "robot.yaml").string(), result.reason));
+  }
 
   nlohmann::ordered_json json =
       result_json(robot, {arguments.board, arguments.seed, options.session.mode, options.session.formulation}, result,
@@ -130,6 +150,8 @@ int run(const HammerArguments& arguments) {
     json["tables"] = tables_json(tables);
   }
   const fs::path out = make_folder(arguments.out);
+  std::error_code ignored;
+  fs::remove(out / "experiment.json", ignored);
   write_whole(out / "bus.log", [&](std::ostream& file) { file << bus_log.view(); });
   write_whole(out / "telemetry.csv", [&](std::ostream& file) { telemetry.write_csv(file); });
   write_whole(out / "result.json", [&](std::ostream& file) { file << json.dump(2) << '\n'; });
@@ -156,15 +178,21 @@ int run(const HammerArguments& arguments) {
 }  // namespace
 
 void add_hammer_command(CLI::App& app, int& status) {
+  const CLI::Validator whole_number(
+      [](std::string& text) -> std::string {
+        const bool digits = !text.empty() && text.find_first_not_of("0123456789") == std::string::npos;
+        if (digits && text.size() <= 18) return {};
+        return fmt::format("'{}' is not a whole number from 0 to 999999999999999999", text);
+      },
+      "", "whole number");
   auto arguments = std::make_shared<HammerArguments>();
   CLI::App* command =
       app.add_subcommand("hammer", "Drive a nail with the simulated robot, from switched off to verdict");
   command->add_option("--robot", arguments->robot, "Folder with robot.urdf and robot.yaml")->capture_default_str();
   command->add_option("--board", arguments->board, "styrofoam, hardwood, or a board's YAML file")
       ->capture_default_str();
-  command->add_option("--seed", arguments->seed, "Seed of noise, clocks and tolerances; 0: all nominal")
-      ->check(CLI::NonNegativeNumber)
-      ->capture_default_str();
+  CLI::Option* seed = command->add_option("--seed", arguments->seed, "Noise, clocks and tolerances; 0: all nominal");
+  seed->capture_default_str()->check(whole_number)->type_name("N");
   command->add_option("--out", arguments->out, "Folder for the report and the recordings")->capture_default_str();
   command->add_option("--swings", arguments->swings, "Largest number of swings (default: the task's)")
       ->check(CLI::Range(1, 1000));
@@ -178,9 +206,9 @@ void add_hammer_command(CLI::App& app, int& status) {
       "Repeat the reference's published hammering experiment and compare; --board and --mode do not apply");
   command->add_flag("--json", arguments->json, "Print one JSON object (docs/result.schema.json) and nothing else");
   command->add_flag("--no-report", arguments->no_report, "Do not make report.html");
-  command->callback([arguments, command, &status] {
+  command->callback([arguments, seed, &status] {
     // The experiment is a comparison of nominal values unless told otherwise.
-    if (arguments->experiment && command->count("--seed") == 0) arguments->seed = 0;
+    if (arguments->experiment && seed->count() == 0) arguments->seed = 0;
     status = run(*arguments);
   });
 }

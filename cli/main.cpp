@@ -12,6 +12,9 @@ int main(int argc, char** argv) {
   app.require_subcommand(1);
   app.set_version_flag("--version", MRR_VERSION);
   app.footer("Exit status: 0 done within limits, 1 not done, 2 unusable input or plan, 3 defect.");
+  app.failure_message([](const CLI::App*, const CLI::Error& error) {
+    return fmt::format("mrr: {}; see mrr hammer --help\n", error.what());
+  });
   int status = mrr::cli::kExitDone;
   mrr::cli::add_hammer_command(app, status);
   try {

@@ -41,7 +41,10 @@ std::string wrapped(const std::string& text, std::size_t indent) {
 
 std::string numbers(const sup::JointVector& values, int digits) {
   std::string text;
-  for (const double value : values) text += fmt::format("{}{:.{}f}", text.empty() ? "" : " ", value, digits);
+  for (const double value : values) {
+    const bool zero = std::abs(value) < 0.5 * std::pow(10.0, -digits);  // no "-0.000"
+    text += fmt::format("{}{:.{}f}", text.empty() ? "" : " ", zero ? 0.0 : value, digits);
+  }
   return text;
 }
 
@@ -63,9 +66,12 @@ std::string plan_text(const RobotDescription& robot, const sup::StrikePlan& plan
   text += fmt::format("  blow    {:.2f} N s predicted, effective mass of the arm {:.2f} kg\n", plan.impulse_n_s,
                       plan.effective_mass_kg);
   text += fmt::format(
-      "  swing   {:.2f} rad back, contact after {:.0f} ms, switch {:.0f} ms before it,\n"
+      "  swing   {:.2f} rad back, contact after {:.0f} ms, {},\n"
       "          reference to {:.1f} mm past the head\n",
-      plan.back_swing_rad, plan.contact_time.seconds() * 1e3, (plan.contact_time - plan.switch_time).seconds() * 1e3,
+      plan.back_swing_rad, plan.contact_time.seconds() * 1e3,
+      plan.passive == 0
+          ? std::string("nothing switches")
+          : fmt::format("switch {:.0f} ms before it", (plan.contact_time - plan.switch_time).seconds() * 1e3),
       plan.follow_through_m * 1e3);
   text += "  axis impulses, N m s   free    held  planned   rated  rep.peak  at impact\n";
   for (int i = 0; i < robot.dof(); ++i) {
@@ -79,7 +85,8 @@ std::string plan_text(const RobotDescription& robot, const sup::StrikePlan& plan
 }
 
 std::string swing_header() {
-  return "Swings                               (torques: largest while in contact)\n"
+  return "Swings: nail height after each; M* effective mass of the nail, e restitution;\n"
+         "        per joint the largest torque its gear carried while in contact\n"
          "   #   nail mm  moved mm  contact ms  impulse N s pred/meas    M* kg      e\n";
 }
 

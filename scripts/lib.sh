@@ -40,6 +40,9 @@ build() {
   shift
   local targets=()
   if (($# > 0)); then targets=(--target "$@"); fi
+  # Nothing to do is done without a word; a first build is announced, because it takes minutes.
+  if (cd "$root" && ninja -C "build/$preset" -n ${1:+"$@"} 2>/dev/null | grep -q 'no work to do'); then return; fi
+  say "building ($preset); the first time takes some minutes"
   (cd "$root" && quietly "build-$preset" cmake --build --preset "$preset" --parallel "$(nproc)" "${targets[@]}")
 }
 

@@ -461,8 +461,10 @@ YamlReader YamlReader::from_file(const std::filesystem::path& file) {
   }
   std::ifstream stream(file, std::ios::binary);
   std::ostringstream content;
-  content << stream.rdbuf();
-  if (!stream || !content) throw description_error(name, "the file cannot be read; check its permissions");
+  // An empty file leaves nothing to insert, which alone would count as a failure.
+  if (stream && stream.peek() != std::ifstream::traits_type::eof()) content << stream.rdbuf();
+  if (!stream.is_open() || stream.bad() || !content)
+    throw description_error(name, "the file cannot be read; check its permissions");
   return from_text(content.str(), name);
 }
 

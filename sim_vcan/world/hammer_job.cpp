@@ -55,6 +55,8 @@ SwingTruth conclude(const World& world, const SwingWatch& watch, const sup::Swin
   truth.restitution = blow->speed_at_start_m_s > 0.0 ? -blow->speed_at_end_m_s / blow->speed_at_start_m_s : 0.0;
   for (std::size_t i = 0; i < dof; ++i) {
     truth.joints[i].peak_torque_nm = blow->peak_transmission_torque_nm[i];
+    truth.joints[i].peak_torque_swing_nm =
+        std::max(truth.joints[i].peak_torque_swing_nm, truth.joints[i].peak_torque_nm);
     truth.joints[i].impulse_nm_s = blow->transmission_impulse_nm_s[i];
     if (truth.joints[i].passive && watch.was_passive[i]) {
       truth.joints[i].switch_lead_s = (blow->start - watch.passive_since[i]).seconds();
@@ -143,7 +145,7 @@ HammerJobResult run_hammer_job(const RobotDescription& robot, const PlantDescrip
   }
   result.verdict = session.verdict();
   result.reason = over ? session.reason()
-                       : fmt::format("no verdict within {:.0f} s of simulated time: the session hung while {}",
+                       : fmt::format("{:.0f} s of simulated time are used up; the robot was {}",
                                      options.time_limit.seconds(), sup::describe(world.supervisor().activity()));
   result.swings = session.swings();
   result.nail_height_m = world.plant().truth().nail_height_m;

@@ -31,7 +31,8 @@ constexpr double kNailClearanceM = 0.003;  // beside the face
 constexpr double kLongestMotionS = 30.0;
 constexpr double kEvenSwing = 1.4;  // swing time over travel/speed; 2 is speed that only ever grows
 constexpr double kUnhurried = 1.6;  // of the shortest time, where nothing is gained by haste
-constexpr double kLongestSwingS = 3.0;
+constexpr double kLongestSwingS = 10.0;
+constexpr double kLeastArmingS = 0.25;  // for every module to acknowledge, and for a stop if one does not
 constexpr double kDegrees = 180.0 / std::numbers::pi;
 
 [[noreturn]] void refuse(const std::string& sentence) { throw PlanError(sentence); }
@@ -168,7 +169,7 @@ bool Planner::select(Blow& blow) const {
     load.controlled_inertia_kg_m2 = controlled_extra_inertia(
         joint.control.position_gain_nm_rad, joint.control.velocity_gain_nm_s_rad, request_.contact_duration_s);
     if (load.decision == ModeDecision::refuse) {
-      blow.why = fmt::format("{} would carry {:.3f} Nms even when free, repeated peak allows {:.3f}", joint.name,
+      blow.why = fmt::format("{} would carry {:.3f} N m s even when free, repeated peak allows {:.3f}", joint.name,
                              load.free_nm_s, load.limits.repeated_nm_s);
     }
     if (load.decision != ModeDecision::active) candidates |= 1U << i;
@@ -192,8 +193,8 @@ bool Planner::select(Blow& blow) const {
       if (active && carried > blow.loads[at(i)].limits.rated_nm_s) c.overloads_active = true;
       if (carried <= blow.loads[at(i)].limits.repeated_nm_s) continue;
       c.feasible = false;
-      c.note = fmt::format("{} would carry {:.3f} Nms, repeated peak allows {:.3f}", robot_.joints[at(i)].name, carried,
-                           blow.loads[at(i)].limits.repeated_nm_s);
+      c.note = fmt::format("{} would carry {:.3f} N m s, repeated peak allows {:.3f}", robot_.joints[at(i)].name,
+                           carried, blow.loads[at(i)].limits.repeated_nm_s);
     }
     if (!prediction.feasible) c.note = "the arm could not yield";
     blow.selections.push_back(c);
@@ -432,6 +433,18 @@ std::optional<Obstacle> Planner::build_swing(const Blow& blow, StrikePlan& plan,
   // A hurried swing must brake again before impact and leaves the arm ringing on the springs of its gears.
   const Duration in = std::max(*down, whole_knots(kEvenSwing * travel / largest_magnitude(blow.qd)));
   const Duration out = whole_knots(kUnhurried * up->seconds());
+  if (in > seconds(kLongestSwingS)) {
+    return Obstacle{
+        fmt::format("the swing would take {:.0f} s at {:.4f} m/s, at most {:.0f} s are swung; raise "
+                    "task.max_speed_share or lower task.impacts_over_momentary_peak",
+                    in.seconds(), blow.speed_m_s, kLongestSwingS)};
+  }
+  if (blow.passive != 0 && in < seconds(kLeastArmingS)) {
+    return Obstacle{
+        fmt::format("contact would come {:.0f} ms after the start, but arming the switch needs {:.0f} ms; "
+                    "raise task.back_swing",
+                    1e3 * in.seconds(), 1e3 * kLeastArmingS)};
+  }
 
   JointTrajectory strike(at_rest(q_start));
   if (!strike.append(impact, in) || !strike.append(at_rest(plan.q_stop), stop) ||
@@ -658,7 +671,7 @@ StrikePlan Planner::plan() {
     if (share(i) > share(heaviest)) heaviest = i;
   }
   plan.why = fmt::format(
-      "Of {} pose{} this one serves best; at {:.3f} m/s{} the blow gives {:.2f} Ns, passive: {}, and loads {} most, "
+      "Of {} pose{} this one serves best; at {:.3f} m/s{} the blow gives {:.2f} N s, passive: {}, and loads {} most, "
       "with "
       "{:.0f} % of what its rated torque allows.",
       blows.size(), blows.size() == 1 ? "" : "s", plan.speed_m_s,
@@ -746,7 +759,7 @@ std::string report(const RobotDescription& robot, const StrikePlan& plan) {
   const auto measure_name = [&] {
     switch (plan.measure) {
       case StrikeMeasure::load_ratio:
-        return "load/rated per Ns, least is best";
+        return "load/rated per N s, least is best";
       case StrikeMeasure::internal_impact:
         return "internal impact measure (55), most is best";
       case StrikeMeasure::effective_mass:
@@ -770,7 +783,7 @@ std::string report(const RobotDescription& robot, const StrikePlan& plan) {
   text +=
       fmt::format("  face        {:.3f} m/s along the nail, {:.3f} sideways, tilt {:.2f} deg, {:.2f} mm off centre\n",
                   plan.speed_m_s, plan.lateral_speed_m_s, plan.tilt_rad * kDegrees, 1e3 * plan.lateral_m);
-  text += fmt::format("  blow        {:.3f} Ns, effective mass {:.2f} kg; measure {:.4g} ({})\n", plan.impulse_n_s,
+  text += fmt::format("  blow        {:.3f} N s, effective mass {:.2f} kg; measure {:.4g} ({})\n", plan.impulse_n_s,
                       plan.effective_mass_kg, plan.measure_value, measure_name());
   text += fmt::format(
       "  motion      back-swing {:.3f} rad, contact after {:.0f} ms, switch after {:.0f} ms, passive at most {:.0f} "
@@ -779,7 +792,7 @@ std::string report(const RobotDescription& robot, const StrikePlan& plan) {
       1e3 * plan.passive_time.seconds());
   text += fmt::format("  follow      {:.1f} mm past the head{}{}\n", 1e3 * plan.follow_through_m,
                       plan.follow_through_note.empty() ? "" : ": ", plan.follow_through_note);
-  text += "  loads, Nms  free    held    planned rated   repeated table    planned\n";
+  text += "  loads, N m s  free    held    planned rated   repeated table    planned\n";
   for (int i = 0; i < n; ++i) {
     const JointLoad& load = plan.loads[at(i)];
     text += fmt::format("  {:<11} {:<7.4f} {:<7.4f} {:<7.4f} {:<7.4f} {:<8.4f} {:<8} {}\n", robot.joints[at(i)].name,
@@ -789,7 +802,7 @@ std::string report(const RobotDescription& robot, const StrikePlan& plan) {
   }
   text += "  selections\n";
   for (const SelectionCandidate& c : plan.selections) {
-    text += fmt::format("    passive {:<24} {:.4f} per Ns, {:.3f} Ns: {}\n", names(robot, c.passive),
+    text += fmt::format("    passive {:<24} {:.4f} per N s, {:.3f} N s: {}\n", names(robot, c.passive),
                         c.load_ratio_per_n_s, c.impulse_n_s, c.note);
   }
   text += "  poses\n";

@@ -10,6 +10,12 @@ namespace mrr::sup {
 namespace {
 constexpr int kMisses = 2;            // swings in a row that met nothing
 constexpr double kAnotherLook = 0.4;  // weight of one more look at a head that did not move
+
+/// Names of the object dictionary as words.
+std::string words(std::string name) {
+  std::replace(name.begin(), name.end(), '_', ' ');
+  return name;
+}
 }  // namespace
 
 const char* describe(SessionState state) noexcept {
@@ -71,12 +77,22 @@ std::string HammerSession::bring_up_report() const {
   std::string text;
   for (int i = 0; i < robot_.dof(); ++i) {
     const NodeProxy& node = supervisor_.node(i);
-    if (node.stage() == NodeStage::enabled) continue;
+    if (node.stage() == NodeStage::enabled && node.measured().follows_knots()) continue;
     const JointDescription& joint = robot_.joints[static_cast<std::size_t>(i)];
     if (!text.empty()) text += "; ";
+    if (node.stage() == NodeStage::enabled) {
+      text += fmt::format("joint {} (node {}) is enabled but does not follow its set points: {}", joint.name,
+                          joint.node_id, words(can::name_of_code(node.measured().error_or_limit)));
+      continue;
+    }
     text += fmt::format("joint {} (node {}) is {}: {}", joint.name, joint.node_id, describe(node.stage()),
                         describe(node.problem()));
-    if (node.problem_detail() != 0) text += fmt::format(" (0x{:08X})", node.problem_detail());
+    if (node.problem() == NodeProblem::fault) {
+      const auto code = static_cast<std::uint16_t>(node.problem_detail());
+      text += fmt::format(", {} ({:04X}h)", words(can::name_of_code(code)), code);
+    } else if (node.problem_detail() != 0) {
+      text += fmt::format(" (0x{:08X})", node.problem_detail());
+    }
   }
   return text;
 }
