@@ -265,6 +265,8 @@ void Module::sync(Time at, std::optional<std::uint8_t> counter) noexcept {
   const SyncPll::Arrival arrival = pll_.on_sync(at);
   sync_seen_ = true;
   last_sync_at_ = at;
+  // Delivered twice: it says nothing new, and the knot that came meanwhile is for the next one.
+  if (arrival.periods == 0) return;
   sync_counter_ = counter;
   if (counter) {
     status_.sync_counter = *counter;
@@ -273,7 +275,6 @@ void Module::sync(Time at, std::optional<std::uint8_t> counter) noexcept {
   // A knot is both halves, or, from a client that knows no acceleration, the position alone.
   const bool complete = knot_position_came_ && (knot_acceleration_came_ || !knots_have_sequence_);
   knot_position_came_ = knot_acceleration_came_ = false;
-  if (arrival.periods == 0) return;
   const Duration period = pll_.period();
   if (!complete) {
     if (reference_.following()) {
@@ -629,6 +630,7 @@ void Module::lead(Time now) noexcept {
     case Authority::calibration:
       break;
     case Authority::homing:
+      selection_.disarm();
       run_homing(now);
       break;
     case Authority::motion:
@@ -651,7 +653,7 @@ void Module::lead(Time now) noexcept {
 }
 
 void Module::carry_out_selection(Time now) noexcept {
-  const std::optional<bool> to_active = selection_.due(now);
+  const std::optional<bool> to_active = selection_.due(now, pll_.period());
   if (!to_active) return;
   if (*to_active && passive()) {
     go_active();

@@ -72,9 +72,10 @@ void SelectionSwitch::on_sync(std::uint8_t counter, std::uint8_t counter_overflo
   if (change <= quarter && change >= -quarter) due_at_ = at;
 }
 
-std::optional<bool> SelectionSwitch::due(Time now) noexcept {
+std::optional<bool> SelectionSwitch::due(Time now, Duration period) noexcept {
   if (!armed_ || now < due_at_) return std::nullopt;
   armed_ = false;
+  if (now - due_at_ > period * kLatePeriods) return std::nullopt;  // something stood in its way until the blow was over
   return to_active_;
 }
 

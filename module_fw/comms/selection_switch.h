@@ -26,15 +26,15 @@ class SelectionSwitch {
   void command(const can::SelectionCommand& command, const Context& context, const SyncPll& pll) noexcept;
   /// A SYNC arrived: the instant an armed selection is due is predicted anew.
   void on_sync(std::uint8_t counter, std::uint8_t counter_overflow, const SyncPll& pll) noexcept;
-  /// The law to change to, in the first tick at or after the instant; nothing otherwise.
-  std::optional<bool> due(Time now) noexcept;
+  /// The law to change to, in the first tick at or after the instant; nothing otherwise. `period`: of SYNC; an order
+  /// that could not be asked for until ten periods after its instant is dropped.
+  std::optional<bool> due(Time now, Duration period) noexcept;
   /// Forgets what is armed (fault, stop by the user).
   void disarm() noexcept { armed_ = false; }
   /// Forgets everything, the sequence too: the joint was enabled anew.
   void reset() noexcept { *this = SelectionSwitch(bit_); }
 
   [[nodiscard]] bool armed() const noexcept { return armed_; }
-  [[nodiscard]] Time due_at() const noexcept { return due_at_; }
   /// selection_acknowledged (2010h sub 5).
   [[nodiscard]] std::uint8_t acknowledgement() const noexcept;
 

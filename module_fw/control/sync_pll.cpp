@@ -18,8 +18,13 @@ SyncPll::Arrival SyncPll::on_sync(Time at) noexcept {
   const std::int64_t since = (at - phase_).ns;
   const std::int64_t periods = (since + period_.ns / 2) / period_.ns;
   if (periods <= 0) {
-    // A second SYNC within half a period: not ours to follow.
-    good_ = 0;
+    // A second SYNC within half a period. CAN may deliver a frame twice (an error in the last bit of its end); when it
+    // goes on there are two senders, and none is ours to follow.
+    doubles_ += kDoubleWeight;
+    if (doubles_ > kDoublesToUnlock) {
+      doubles_ = kDoublesToUnlock;
+      good_ = 0;
+    }
     return {true, 0};
   }
   if (periods > 1000) {
@@ -29,6 +34,7 @@ SyncPll::Arrival SyncPll::on_sync(Time at) noexcept {
     phase_ = at;
     return {true, 1};
   }
+  if (doubles_ > 0) --doubles_;
   const auto n = static_cast<std::int32_t>(periods);
   const Time expected = predict(n);
   const std::int64_t error = (at - expected).ns;

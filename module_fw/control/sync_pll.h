@@ -41,6 +41,8 @@ class SyncPll {
   static constexpr std::int32_t kPeriodDivisor = 4 * 10 * 10;  // critically damped
   static constexpr std::int32_t kGoodToLock = 20;
   static constexpr std::int32_t kBadToRestart = 5;
+  static constexpr std::int32_t kDoubleWeight = 8;  // a double is forgotten after so many periods
+  static constexpr std::int32_t kDoublesToUnlock = 3 * kDoubleWeight;
 
   Duration nominal_;
   Time phase_;
@@ -50,6 +52,7 @@ class SyncPll {
   Duration error_;
   std::int32_t good_ = 0;
   std::int32_t bad_ = 0;
+  std::int32_t doubles_ = 0;
   bool has_phase_ = false;
 };
 

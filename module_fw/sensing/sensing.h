@@ -28,8 +28,6 @@ class VelocityObserver {
   void coast() noexcept;
   /// Filtered velocity, counts per second.
   [[nodiscard]] float velocity_counts_s() const noexcept { return velocity_ * inverse_dt_; }
-  /// How far the observed position is from the last count, counts.
-  [[nodiscard]] float residual_counts() const noexcept { return residual_; }
 
  private:
   float inverse_dt_;

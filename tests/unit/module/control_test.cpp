@@ -5,6 +5,7 @@
 #include <limits>
 
 #include "common/core/random.h"
+#include "module_fw/comms/selection_switch.h"
 #include "module_fw/control/active_law.h"
 #include "module_fw/control/passive_law.h"
 #include "module_fw/control/reference.h"
@@ -429,6 +430,38 @@ TEST(SyncPll, CountsLostSyncsAndIgnoresDoubles) {
   EXPECT_EQ(pll.on_sync(t).periods, 3);
   EXPECT_TRUE(pll.locked());
   EXPECT_EQ(pll.on_sync(t + milliseconds(1)).periods, 0);
+  EXPECT_TRUE(pll.locked()) << "one frame delivered twice is no second sender";
+}
+
+TEST(SyncPll, FollowsNeitherOfTwoSenders) {
+  SyncPll pll(milliseconds(4));
+  Time t;
+  for (int k = 0; k < 50; ++k) {
+    pll.on_sync(t);
+    t += milliseconds(4);
+  }
+  ASSERT_TRUE(pll.locked());
+  for (int k = 0; k < 50; ++k) {
+    pll.on_sync(t);
+    pll.on_sync(t + milliseconds(1));
+    t += milliseconds(4);
+    if (k > 5) {
+      EXPECT_FALSE(pll.locked()) << k;
+    }
+  }
+}
+
+TEST(SelectionSwitch, OrderThatWasHeldUpUntilTheBlowIsOverIsDropped) {
+  SyncPll pll(milliseconds(4));
+  SelectionSwitch selection(0);
+  SelectionSwitch::Context context;
+  context.now = Time{milliseconds(100).ns};
+  context.allowed = true;
+  selection.command({.mask = 0, .sequence = 1, .action = can::SelectionAction::now}, context, pll);
+  ASSERT_TRUE(selection.armed());
+  EXPECT_EQ(SelectionSwitch(selection).due(context.now + milliseconds(40), pll.period()), std::optional<bool>(false));
+  EXPECT_EQ(selection.due(context.now + milliseconds(41), pll.period()), std::nullopt);
+  EXPECT_FALSE(selection.armed());
 }
 
 TEST(SyncPll, FindsASenderThatRestartsWithAnotherPhase) {

@@ -241,6 +241,29 @@ TEST_F(Supervised, FaultResetIsNotRepeatedForEver) {
   EXPECT_EQ(supervisor().node(1).stage(), sup::NodeStage::faulted);
 }
 
+TEST_F(Supervised, SyncDeliveredTwiceDisturbsNoSwing) {
+  swing_until(milliseconds(600));
+  const auto rejected_before = rejected_;
+  std::uint32_t missing = 0;
+  for (int i = 0; i < robot_.dof(); ++i) missing += world_.module(i).status().knots_missing;
+  bool doubled = false;
+  const auto before = world_.on_frame;
+  world_.on_frame = [&](const Delivery& delivery) {
+    before(delivery);
+    // After the last set point of the cycle.
+    const auto last = static_cast<std::uint32_t>(can::kRpdo3CobId + robot_.joints[2].node_id);
+    if (delivery.frame.id != last || doubled) return;
+    doubled = true;
+    (void)world_.bus().send(0, can::sync_frame(world_.module(0).status().sync_counter), delivery.at);
+  };
+  ASSERT_TRUE(run_until(Activity::holding));
+  ASSERT_TRUE(doubled);
+  for (int i = 0; i < robot_.dof(); ++i) missing -= world_.module(i).status().knots_missing;
+  EXPECT_EQ(missing, 0U);
+  EXPECT_EQ(rejected_, rejected_before);
+  EXPECT_EQ(supervisor().outcome().aborted, sup::AbortReason::none);
+}
+
 TEST_F(Supervised, SwingWhoseSwitchComesAfterItsEndIsRefused) {
   enable();
   sup::StrikePlan late = plan();
