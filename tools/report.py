@@ -9,15 +9,38 @@ FOLDER may also hold experiment.json (`mrr hammer --experiment`), alone or besid
 compare.csv: result and telemetry of a run to compare with. Needs Debian's python3-numpy and python3-matplotlib.
 """
 
-import argparse
 import os
-import pathlib
+import signal
 import sys
-import tempfile
+
+
+def interrupted(*_):
+    os.write(2, b"report.py: interrupted\n")
+    os._exit(130)  # at once: an exception could be lost in a library, or leave a traceback
+
+
+if __name__ == "__main__" and signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+    signal.signal(signal.SIGINT, interrupted)
+
+import argparse  # noqa: E402
+import contextlib  # noqa: E402
+import pathlib  # noqa: E402
+import tempfile  # noqa: E402
 
 sys.dont_write_bytecode = True  # an installation may be shared
 
 
+@contextlib.contextmanager
+def interrupts_wait():
+    """Ctrl-C takes effect afterwards: what is being written is finished or removed first."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@interrupts_wait()
 def write_whole(path, data):
     """Through a temporary file in the same folder: the file is there whole or not at all."""
     handle, partial = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".partial")
@@ -39,7 +62,8 @@ def main():
     parser.add_argument("--picture", type=pathlib.Path, metavar="FILE", help="overview picture, .png or .svg")
     arguments = parser.parse_args()
     try:
-        from mrr_report import data, page
+        with interrupts_wait():  # matplotlib may be writing its list of fonts
+            from mrr_report import data, page
     except ImportError as error:
         print(f"report.py: {error}; install Debian's python3-numpy and python3-matplotlib", file=sys.stderr)
         return 1
