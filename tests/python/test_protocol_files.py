@@ -5,6 +5,7 @@ import struct
 import subprocess
 
 import canopen
+import can
 import cantools
 import pytest
 
@@ -116,6 +117,20 @@ def test_dbc_decodes_to_si(dbc):
     emergency = dbc.decode_message(0x082, struct.pack("<HB5s", 0x8611, 0x21, bytes(5)))
     assert str(emergency["emergency_code"]) == "following_error"
     assert str(dbc.decode_message(0x702, b"\x05")["nmt_state"]) == "operational"
+
+
+def test_dbc_decodes_every_frame_of_a_run(generate, program, tmp_path):
+    nodes = [option for k in (1, 2, 3) for option in ("--node", f"joint_{k}={k + 1}")]
+    database = cantools.database.load_file(generate("dbc", *nodes), database_format="dbc")
+    subprocess.run([program("cli/mrr"), "hammer", "--out", tmp_path / "out", "--no-report"], check=True, capture_output=True)
+    names = set()
+    with can.CanutilsLogReader(tmp_path / "out" / "bus.log") as reader:
+        for frame in reader:
+            message = database.get_message_by_frame_id(frame.arbitration_id)
+            assert len(frame.data) == message.length, message.name
+            message.decode(frame.data)
+            names.add(message.name)
+    assert {"supervisor_heartbeat", "joint_1_heartbeat", "joint_1_sdo_answer", "joint_3_tpdo1", "selection"} <= names
 
 
 @pytest.mark.parametrize("options", [(), ("--node", "base=1"), ("--node", "base=128"), ("--node", "2=2"), ("--node", "base")])
