@@ -2,12 +2,15 @@
 
 import html.parser
 import json
+import os
 import re
 import resource
 import shutil
+import signal
 import struct
 import subprocess
 import sys
+import time
 import xml.etree.ElementTree
 
 import numpy
@@ -185,6 +188,89 @@ def test_experiment_alone_is_a_report_too(report, tmp_path):
     text = words(tmp_path)
     assert "1 of 2 swings are within the tolerances" in text
     assert "−20 %" in text and "70 to 85 ms" in text
+
+
+def experiment_of(robot):
+    swing = {"name": "1", "past_head_mm": 7.5, "hit": True, "within": True, "contact_ms": 80.0, "impulse_n_s": 1.3,
+             "penetration_mm": 0.0, "effective_mass_kg": None,
+             "published": {"contact_ms": None, "impulse_n_s": None, "penetration_mm": None, "effective_mass_kg": None}}
+    return {"schema_version": 1, "robot": robot, "seed": 1, "reproduced": True,
+            "series": [{"board": "hardwood", "swings": [swing], "measured_contact_ms": [70.0, 85.0],
+                        "measured_impulse_n_s": [1.26, 1.42]}]}
+
+
+def test_columns_of_dashes_are_left_out(report, tmp_path):
+    (tmp_path / "experiment.json").write_text(json.dumps(experiment_of("mrr3")))
+    assert report(tmp_path).returncode == 0
+    head = re.findall(r"<thead>.*?</thead>", (tmp_path / "report.html").read_text())[0]
+    assert head.count(">sim.<") == 3 and "publ." not in head and "M*" not in head and "within tolerance" in head
+
+
+@pytest.mark.parametrize("robot, age_s, shown", [("mrr3", 60, True), ("other", 60, False), ("other", -60, True)])
+def test_an_old_experiment_of_another_robot_is_left_out(report, copy, robot, age_s, shown):
+    path = copy / "experiment.json"
+    path.write_text(json.dumps(experiment_of(robot)))
+    written = (copy / "result.json").stat().st_mtime - age_s
+    os.utime(path, (written, written))
+    done = report(copy)
+    assert done.returncode == 0, done.stderr
+    assert ("experiment, repeated" in words(copy)) == shown
+    assert ("experiment.json" in words(copy)) == shown
+
+
+def several_blows(folder, blows):
+    """Makes the run's only hit into several: (passive, penetration in mm, impulse in N s) of each."""
+    result = json.loads((folder / "result.json").read_text())
+    entry = next(swing for swing in result["swings"] if swing["hit"])
+    result["swings"] = []
+    for passive, penetration_mm, impulse_n_s in blows:
+        swing = json.loads(json.dumps(entry)) | {"penetration_mm": penetration_mm, "impulse_measured_n_s": impulse_n_s}
+        for joint in swing["joints"]:
+            joint["passive"] &= passive
+        result["swings"].append(swing)
+    (folder / "result.json").write_text(json.dumps(result))
+
+
+@pytest.mark.parametrize("blows, chosen", [
+    ([(False, 9.0, 9.0), (True, 0.0, 1.0)], 1),
+    ([(True, 0.0, 9.0), (True, 3.0, 1.0), (False, 9.0, 9.0)], 1),
+    ([(True, 3.0, 1.0), (True, 2.0, 2.0)], 1),
+    ([(False, 0.0, 9.0), (False, 2.0, 2.0)], 1),
+])
+def test_the_blow_shown_is_a_passive_one_then_one_that_drove_then_the_hardest(copy, source_dir, blows, chosen):
+    sys.path.insert(0, str(source_dir / "tools"))
+    from mrr_report import data
+
+    several_blows(copy, blows)
+    run = data.load(copy)
+    assert run.hardest() is run.hits[chosen]
+
+
+def test_says_in_which_swings_a_joint_was_passive(report, copy):
+    several_blows(copy, [(True, 3.0, 1.0), (False, 3.0, 1.0)])
+    assert report(copy).returncode == 0
+    text = words(copy)
+    assert "passive in swing 1" in text and "passive at impact" not in text
+
+
+def test_dotted_lines_are_spoken_of_only_if_there_are_any(report, run, never):
+    assert "dotted" in words(run)
+    assert report(never).returncode == 0
+    assert "dotted" not in words(never)
+
+
+@pytest.mark.parametrize("after_s", [0.4, 0.8, 1.2])
+def test_ctrl_c_is_one_line_and_leaves_nothing(source_dir, copy, after_s):
+    before = sorted(copy.iterdir())
+    child = subprocess.Popen([DEBIAN_PYTHON, source_dir / "tools" / "report.py", copy], stderr=subprocess.PIPE, text=True)
+    time.sleep(after_s)
+    if child.poll() is not None:
+        pytest.skip("was done before")
+    child.send_signal(signal.SIGINT)
+    errors = child.communicate()[1]
+    assert child.returncode == 130
+    assert errors == "report.py: interrupted\n"
+    assert [path for path in sorted(copy.iterdir()) if path.name != "report.html"] == before
 
 
 def test_same_run_same_report(report, copy):

@@ -7,6 +7,7 @@ import warnings
 import numpy as np
 
 SCHEMA_VERSION = 1
+MOVED_MM = 0.05  # a nail driven less shows as 0.0 mm
 
 
 class ReportError(Exception):
@@ -111,16 +112,43 @@ class Run:
     def joint_entry(self, entry, joint):
         return next(j for j in entry["joints"] if j["name"] == joint)
 
+    def passive_in(self, joint):
+        """Numbers of the swings whose blow found the joint passive."""
+        return [entry["number"] for entry in self.hit_entries if self.joint_entry(entry, joint)["passive"]]
+
     def ever_passive(self, joint):
-        return any(self.joint_entry(entry, joint)["passive"] for entry in self.hit_entries)
+        return bool(self.passive_in(joint))
+
+    def passive_in_words(self, joint):
+        """"active", "passive" if it was so in every blow, else "passive in swings 1, 3 to 5"."""
+        numbers = self.passive_in(joint)
+        if not numbers:
+            return "active"
+        if len(numbers) == len(self.hit_entries):
+            return "passive"
+        return f"passive in swing{'s' if len(numbers) > 1 else ''} {numbers_in_words(numbers)}"
 
     def moving(self, joint):
         """Whether the reference moves the joint in any swing."""
         return any(np.max(np.abs(s[f"{joint}_reference_velocity"]), initial=0.0) > 0.02 for s in self.swings)
 
     def hardest(self):
-        """The blow with the largest impulse, or None."""
-        return max(self.hits, key=lambda swing: swing.entry["impulse_measured_n_s"], default=None)
+        """The blow that shows most, or None: with a passive joint if there is one, then one that moved the nail, then
+        the one with the largest impulse."""
+        return max(self.hits, default=None, key=lambda swing: (
+            any(joint["passive"] for joint in swing.entry["joints"]), swing.entry["penetration_mm"] > MOVED_MM,
+            swing.entry["impulse_measured_n_s"]))
+
+
+def numbers_in_words(numbers):
+    """[1, 3, 4, 5] is "1, 3 to 5"; `numbers` ascending."""
+    runs = []
+    for number in numbers:
+        if runs and number == runs[-1][1] + 1:
+            runs[-1][1] = number
+        else:
+            runs.append([number, number])
+    return ", ".join(f"{a}" if a == b else f"{a}, {b}" if b == a + 1 else f"{a} to {b}" for a, b in runs)
 
 
 def rotation_about(axis, angle):

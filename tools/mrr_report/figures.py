@@ -171,21 +171,24 @@ def draw_nail_height(ax, run):
     really = [geometry["nail_height_mm"]] + [entry["nail_height_mm"] for entry in run.entries]
     believed = [entry["seen_by_robot"]["nail_height_mm"] for entry in run.entries]
     numbers = np.arange(len(really))
+    shown = numbers[::-(-len(numbers) // 13)]
+    top = max(really + believed)
     ax.axhspan(-0.09 * really[0], 0, color=style.WOOD, lw=0)
     ax.vlines(numbers, 0, really, color=style.INK, lw=2.2, zorder=3)
     ax.plot(numbers, really, "_", ms=16, color=style.INK, mew=3, zorder=3, label="really")
     ax.plot(numbers[1:], believed, "o", ms=7, mfc="none", color=style.ORANGE, mew=1.5, label="the robot's estimate",
             zorder=4)
-    for number, height in zip(numbers, really):
-        ax.annotate(f"{height:.1f}", (number, height), xytext=(0, 8), textcoords="offset points", ha="center",
+    for number in sorted({*shown, numbers[-1]}):
+        height, circle = really[number], believed[number - 1] if number else 0.0
+        above = circle if height < circle < height + 0.13 * top else height  # clear of the circle
+        ax.annotate(f"{height:.1f}", (number, above), xytext=(0, 8), textcoords="offset points", ha="center",
                     fontsize=8)
     room = max(0, 4 - len(really)) / 2
     ax.set_xlim(-0.6 - room, len(really) - 0.4 + room)
-    ax.set(xlabel="after swing", ylabel="nail above the board [mm]", ylim=(-0.09 * really[0], 1.18 * max(really)),
-           xticks=numbers if len(numbers) <= 13 else numbers[::2])
+    ax.set(xlabel="after swing", ylabel="nail above the board [mm]", ylim=(-0.09 * really[0], 1.15 * top), xticks=shown)
     ax.set_xticklabels(["start" if number == 0 else str(number) for number in ax.get_xticks()])
     ax.grid(axis="x", visible=False)
-    ax.legend(loc="upper right")
+    legend_below(ax)
     ax.set_title("Nail height")
 
 
@@ -227,9 +230,10 @@ def draw_impulses(ax, run):
 
 
 def torque_limits(ax, joint_entry, low, high):
-    """Rated and repeated-peak lines on the side the torque goes to, and the view that shows them."""
+    """Rated and repeated-peak lines on the side the torque goes to (the positive one if there is next to none), and the
+    view that shows them."""
     rated, repeated = joint_entry["rated_nm"], joint_entry["repeated_peak_nm"]
-    sign = 1.0 if high >= -low else -1.0
+    sign = -1.0 if -low > max(high, 0.02 * rated) else 1.0
     for value, name, dashes in ((rated, "rated", (0, (4, 2))), (repeated, "repeated peak", "-")):
         for side in (sign, -sign):
             if side != sign and not (-sign * (low if sign > 0 else high) > 0.6 * value):
@@ -262,9 +266,9 @@ def draw_torque(ax, run, joint, other=None, title=True):
     shade_contact(ax, hits, label=False)
     torque_limits(ax, run.joint_entry(run.hit_entries[0], joint), low, high)
     ax.set(xlabel="time from first touch [ms]", ylabel="transmission torque [Nm]", xlim=(1e3 * begin_s, 1e3 * end_s))
-    mode = "passive at impact" if run.ever_passive(joint) else "active"
     if title:
-        ax.set_title(f"{joint_label(joint)}, {mode}")
+        mode = run.passive_in_words(joint)
+        ax.set_title(f"{joint_label(joint)}, {'passive at impact' if mode == 'passive' else mode}")
     if compared:
         legend_below(ax)
     elif len(hits) <= style.LARGEST_SERIES:
@@ -287,7 +291,7 @@ def draw_torque_shares(ax, run, other=None):
         at = numbers + (k - (count - 1) / 2) * width
         shares, rated = zip(*(bar_of(entry, joint) for entry in entries))
         ax.bar(at - aside, shares, wide, color=joint_colour(run, joint), zorder=3,
-               label=joint_label(joint) + (" (passive)" if run.ever_passive(joint) else ""))
+               label=joint_label(joint) + (f" ({run.passive_in_words(joint)})" if run.ever_passive(joint) else ""))
         ax.hlines(rated, at - 0.45 * width, at + 0.45 * width, color=style.INK, lw=1.2, zorder=4,
                   label="rated torque" if k == 0 else None)
         if other is not None:
@@ -321,6 +325,16 @@ def draw_position_error(ax, run, joint):
     ax.set_title(f"Position error, {joint_label(joint)}")
 
 
+VELOCITY_MARGIN_S = 0.25  # shown before first touch and after the end of contact
+
+
+def switches(swing, joint):
+    """[(time, to passive)] of the joint within the velocity figure, s from first touch."""
+    times = [pair for begin, end in swing.passive_spans(joint) for pair in ((begin, True), (end, False))]
+    return [(time, passive) for time, passive in times
+            if -VELOCITY_MARGIN_S <= time <= swing.contact_s + VELOCITY_MARGIN_S]
+
+
 def draw_motor_velocity(ax, run, swing):
     """An active and a passive joint through one blow, and when the passive one switched."""
     passive = [joint for joint in run.joints if run.joint_entry(swing.entry, joint)["passive"]]
@@ -330,8 +344,7 @@ def draw_motor_velocity(ax, run, swing):
         return np.max(np.abs(swing[f"{joint}_motor_velocity"][swing.between(-0.1, 0.2)]), initial=0.0)
 
     chosen = [max(group, key=speed) for group in (active, passive) if group]
-    end_s = swing.contact_s + 0.25
-    rows = swing.between(-0.25, end_s)
+    rows = swing.between(-VELOCITY_MARGIN_S, swing.contact_s + VELOCITY_MARGIN_S)
     for joint in chosen:
         colour = joint_colour(run, joint)
         name = f"{joint_label(joint)}, {'passive' if joint in passive else 'active'}"
@@ -339,14 +352,11 @@ def draw_motor_velocity(ax, run, swing):
         reference = swing[f"{joint}_reference_velocity"][rows].copy()
         reference[swing[f"{joint}_passive"][rows] > 0.5] = np.nan
         ax.plot(1e3 * swing.time_s[rows], reference, color=colour, lw=1.0, ls=(0, (3, 2)), zorder=3)
-        for begin, end in swing.passive_spans(joint):
-            for time, text, align in ((begin, "passive", "right"), (end, "active again", "left")):
-                if not -0.25 <= time <= end_s:
-                    continue
-                ax.axvline(1e3 * time, color=colour, lw=1.0, ls=(0, (1, 1.5)), zorder=2)
-                ax.annotate(text, (1e3 * time, 0), xycoords=("data", "axes fraction"),
-                            xytext=(-3 if align == "right" else 3, 3), textcoords="offset points", ha=align,
-                            color=colour, fontsize=8)
+        for time, to_passive in switches(swing, joint):
+            ax.axvline(1e3 * time, color=colour, lw=1.0, ls=(0, (1, 1.5)), zorder=2)
+            ax.annotate("passive" if to_passive else "active again", (1e3 * time, 0),
+                        xycoords=("data", "axes fraction"), xytext=(-3 if to_passive else 3, 3),
+                        textcoords="offset points", ha="right" if to_passive else "left", color=colour, fontsize=8)
     shade_contact(ax, [swing])
     ax.axhline(0, color=style.MUTED, lw=0.8, zorder=1)
     ax.set(xlabel="time from first touch [ms]", ylabel="motor velocity, joint side [rad/s]")

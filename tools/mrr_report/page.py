@@ -2,6 +2,7 @@
 
 import html as escape_module
 import io
+import itertools
 import pathlib
 import re
 
@@ -49,8 +50,9 @@ def is_number(text):
     return text.lstrip("−+").replace(".", "").replace(" %", "").isdigit() or text in ("–", "∞", "")
 
 
-def table(head, rows, caption="", mark=()):
-    """`rows`: lists of texts; columns of numbers are aligned to the right. `mark`: indices of rows set off."""
+def table(head, rows, caption="", mark=(), groups=()):
+    """`rows`: lists of texts; columns of numbers are aligned to the right. `mark`: indices of rows set off. `groups`:
+    a head above each column, one cell over equal neighbours."""
     rows = [[str(text) for text in row] for row in rows]
     right = [all(is_number(row[k]) for row in rows) for k in range(len(head))]
 
@@ -60,7 +62,11 @@ def table(head, rows, caption="", mark=()):
     body = "".join(f"<tr{' class=mark' if k in mark else ''}>{cells('td', row)}</tr>" for k, row in enumerate(rows))
     head = [re.sub(r"\[.*\]", lambda unit: unit[0].replace(" ", "\u00a0"), text) for text in head]
     title = f"<caption>{escape(caption)}</caption>" if caption else ""
-    return (f'<div class="scroll"><table>{title}<thead><tr>{cells("th", head)}</tr></thead><tbody>{body}</tbody>'
+    over = "".join(f'<th class=over colspan={len(list(columns))}>{escape(name)}</th>'
+                   for name, columns in itertools.groupby(groups))
+    over = f"<tr>{over}</tr>" if over else ""
+    tight = " class=tight" if len(head) > 10 else ""
+    return (f'<div class="scroll"><table{tight}>{title}<thead>{over}<tr>{cells("th", head)}</tr></thead><tbody>{body}</tbody>'
             "</table></div>")
 
 
@@ -125,7 +131,8 @@ def force_in_words(run):
     off = [abs(e["seen_by_robot"]["impulse_n_s"] / e["impulse_measured_n_s"] - 1) for e in entries
            if e["impulse_measured_n_s"] > 0]
     return (f"Contact force of every blow, by a force sensor under the board. Contacts last "
-            f"{span([e['contact_ms'] for e in entries], 0, 'ms')}; from its joints alone the robot estimates the impulse with a mean error of {fixed(100 * np.mean(off), 0)} %.")
+            f"{span([e['contact_ms'] for e in entries], 0, 'ms')}; from its joints alone the robot estimates the impulse with a mean error of {fixed(100 * np.mean(off), 0)} %. "
+            f"The dashed estimate is filtered and sampled at the knot rate, so it trails by about 10 ms.")
 
 
 def impulses_in_words(run):
@@ -142,8 +149,31 @@ def torque_in_words(run, joint):
     text = (f"{figures.joint_label(joint)}: at most {fixed(peak, 1)} Nm in contact, "
             f"{fixed(100 * peak / blows[0]['repeated_peak_nm'], 0)} % of the repeated peak.")
     if leads:
-        text += f" Wholly passive {span(leads, 1, 'ms')} before first touch."
+        mode = run.passive_in_words(joint)
+        begin = "Wholly passive" if mode == "passive" else sentence(mode)[:-1] + ", wholly so"
+        text += f" {begin} {span(leads, 1, 'ms')} before first touch."
     return sentence(text)
+
+
+def velocity_in_words(run, swing):
+    text = f"Motor velocities through blow {swing.number}"
+    if len(run.hits) > 1:
+        same = [each for each in run.hits if bool(passive_joints(each)) == bool(passive_joints(swing))]
+        moved = [each for each in same if each.entry["penetration_mm"] > data.MOVED_MM]
+        kind = []
+        if len(same) < len(run.hits):
+            kind.append("with a passive joint")
+        if moved and len(moved) < len(same):
+            kind.append("that moved the nail")
+        text += f", of those {' '.join(kind)} the one" if kind else ", the one"
+        text += " with the largest impulse"
+    if any(figures.switches(swing, joint) for joint in passive_joints(swing)):
+        text += "; dotted: when a joint went passive or came back"
+    return sentence(text)
+
+
+def passive_joints(swing):
+    return [joint["name"] for joint in swing.entry["joints"] if joint["passive"]]
 
 
 def comparison_in_words(run, other):
@@ -232,7 +262,8 @@ def swings_tables(run):
               fixed(j["axis_impulse_nm_s"], 3), fixed(j["switch_lead_ms"], 1)) for e in run.hit_entries for j in e["joints"]]
     return table(head, rows) + table(
         ("swing", "joint", "at impact", "peak torque in contact [Nm]", "in the whole swing [Nm]", "rated [Nm]",
-         "repeated peak [Nm]", "axis impulse planned [N m s]", "measured [N m s]", "passive before touch [ms]"), blows)
+         "repeated peak [Nm]", "axis impulse planned [N m s]", "measured [N m s]", "passive before touch [ms]"), blows,
+        "Planned axis impulses are those of the blow alone; measured ones contain gravity and catching the arm.")
 
 
 # --------------------------------------------------------------------------------------------------------- experiment
@@ -248,15 +279,19 @@ def experiment_section(experiment):
     parts = [f"<p class='verdict {'pass' if all(within) else 'fail'}'>"
              + escape(f"{words} within the tolerances: contact 15 %, impulse 25 %, penetration 10 % or 0.5 mm.") + "</p>"]
     tolerances = ((0.15, 0.0), (0.25, 0.0), (0.10, 0.5))
+    if "robot" in experiment:
+        parts.append(f"<p class=small>{escape(experiment['robot'])}, seed {escape(experiment['seed'])}</p>")
     parts.append(grid(*(figure(f"experiment{k}", f"Published and simulated {label.split(' [')[0]}. On the line they "
                                "agree, in the band within the tolerance.", lambda ax, q=quantity, l=label, t=tolerance:
                                figures.draw_experiment(ax, series, q, l, *t), (3.5, 3.3))
                         for k, ((quantity, label, _), tolerance) in enumerate(zip(quantities, tolerances))),
                       kind="grid small-figures"))
     for board in series:
-        head = ["swing", "reference past head [mm]"]
+        head, groups = ["swing", "reference past head [mm]"], ["", ""]
         for _, label, _ in quantities:
-            head += [label, "published", "deviation"]
+            head += ["sim.", "publ.", "off by"]
+            groups += [label] * 3
+        head, groups = head + ["within tolerance"], groups + [" "]
         rows = []
         for swing in board["swings"]:
             row = [swing["name"], fixed(swing.get("past_head_mm"), 2)]
@@ -265,13 +300,15 @@ def experiment_section(experiment):
                 off = "–" if ours is None or not theirs else f"{100 * (ours / theirs - 1):+.0f} %".replace("-", "−")
                 row += [fixed(ours, digits), fixed(theirs, digits), off]
             rows.append(row + ["yes" if swing["within"] else "no"])
+        told = [k for k in range(len(head)) if any(row[k] != "–" for row in rows)]
+        head, groups, *rows = ([row[k] for k in told] for row in (head, groups, *rows))
         ranges = ""
         if "measured_contact_ms" in board:
             low, high = board["measured_contact_ms"]
             soft, hard = board["measured_impulse_n_s"]
             ranges = (f"; the reference measured {fixed(low, 0)} to {fixed(high, 0)} ms and {fixed(soft)} to "
                       f"{fixed(hard)} N s over all its swings")
-        parts.append(table(head + ["within tolerance"], rows, f"{board['board']}{ranges}"))
+        parts.append(table(head, rows, f"{board['board']}{ranges}", groups=groups))
     return section("The reference's experiment, repeated", *parts)
 
 
@@ -303,6 +340,7 @@ margin-top:.2rem}
 .scroll{overflow-x:auto;margin:.8rem 0 1.2rem}table{border-collapse:collapse;font-size:.86rem;
 font-variant-numeric:tabular-nums}th,td{padding:.28rem .7rem;text-align:left;border-bottom:1px solid GRID;
 vertical-align:top}th{font-weight:600;vertical-align:bottom;border-bottom:1.5px solid INK;min-width:4.2rem;line-height:1.25}
+.tight th,.tight td{padding:.28rem .32rem;min-width:0}.tight{font-size:.82rem}.over{border-bottom:0;text-align:center}
 .n{text-align:right}td.n,td:nth-child(-n+3){white-space:nowrap}caption{text-align:left;font-weight:600;
 padding-bottom:.3rem}.mark td{font-weight:600;background:SHADE}summary{cursor:pointer;margin:.3rem 0}code{font-size:.92em}
 @media print{body{max-width:none;font-size:10pt;padding:0}.grid{grid-template-columns:1fr 1fr}.grid.small-figures{
@@ -347,8 +385,8 @@ def run_sections(run, other):
         quiet = {joint for joint in run.joints if not run.moving(joint) and run.ever_passive(joint)}
         followed = [joint for joint in run.joints if joint not in quiet]
         parts.append(section("How the joints move", grid(
-            figure("velocity", f"Motor velocities through blow {hardest.number}, the one with the largest impulse; "
-                   "dotted: when the joint went passive and came back.", lambda ax: figures.draw_motor_velocity(ax, run, hardest)),
+            figure("velocity", velocity_in_words(run, hardest),
+                   lambda ax: figures.draw_motor_velocity(ax, run, hardest)),
             *(figure(f"error{k}", f"How far {figures.joint_label(joint)} lags behind its reference; shaded: contact.",
                      lambda ax, j=joint: figures.draw_position_error(ax, run, j)) for k, joint in enumerate(followed)))))
     else:
@@ -362,10 +400,17 @@ def run_sections(run, other):
     return parts
 
 
+def belongs(folder, experiment, result):
+    """Whether an experiment goes with the result beside it: of the same robot, or made after it. An older one of another
+    robot was left behind."""
+    return (experiment.get("robot") == result["robot"]
+            or (folder / "experiment.json").stat().st_mtime > (folder / "result.json").stat().st_mtime)
+
+
 def html(folder, compare_folder=None):
     """The whole page. Throws ReportError."""
     folder = pathlib.Path(folder)
-    parts, title = [], "MRR hammering report"
+    parts, title, files = [], "MRR hammering report", FILES
     experiment = None
     if (folder / "experiment.json").is_file():
         experiment = data.read_json(folder / "experiment.json")
@@ -374,13 +419,16 @@ def html(folder, compare_folder=None):
         other = data.load_comparison(folder, compare_folder)
         title = f"{run.result['robot']} on {board(run.result)}"
         parts += run_sections(run, other)
+        if experiment is not None and not belongs(folder, experiment, run.result):
+            experiment = None
+            files = [file for file in files if file[0] != "experiment.json"]
         if experiment is None and "experiment" in run.result:
             experiment = {"series": run.result["experiment"]}
     if experiment is not None:
         if not parts:
             parts.append(f"<header><p class=kicker>MRR hammering report</p><h1>{escape(experiment['robot'])}</h1></header>")
         parts.append(experiment_section(experiment))
-    files = "".join(f"<li><code>{name}</code>: {what}</li>" for name, what in FILES if (folder / name).is_file())
+    files = "".join(f"<li><code>{name}</code>: {what}</li>" for name, what in files if (folder / name).is_file())
     parts.append(section("Files beside this one", f"<ul>{files}</ul>"))
     return (f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><meta name="viewport" '
             f'content="width=device-width,initial-scale=1"><title>{escape(title)}</title><style>{stylesheet()}</style>'
