@@ -263,7 +263,8 @@ def swings_tables(run):
     return table(head, rows) + table(
         ("swing", "joint", "at impact", "peak torque in contact [Nm]", "in the whole swing [Nm]", "rated [Nm]",
          "repeated peak [Nm]", "axis impulse planned [N m s]", "measured [N m s]", "passive before touch [ms]"), blows,
-        "Planned axis impulses are those of the blow alone; measured ones contain gravity and catching the arm.")
+        "Planned axis impulses are those of the blow alone, without sign; measured ones contain gravity and "
+        "catching the arm.")
 
 
 # --------------------------------------------------------------------------------------------------------- experiment
