@@ -190,10 +190,6 @@ struct RobotDescription {
   [[nodiscard]] int dof() const { return static_cast<int>(joints.size()); }
 };
 
-/// Share of the bus's bit rate that SYNC, set-points and feedback of `joints` joints take, worst-case bit stuffing.
-/// Classic: (65 + 540 n) f / bit rate. FD: the same frames, one by one, in FD format without packing (an upper bound).
-[[nodiscard]] double cyclic_bus_load(const BusDescription& bus, int joints);
-
 /// Reads `directory`/robot.urdf and `directory`/robot.yaml, checks everything.
 /// Throws DescriptionError (common/robot/errors.h) naming file, line, key, value, unit and allowed range.
 [[nodiscard]] RobotDescription load_robot(const std::filesystem::path& directory);

@@ -35,11 +35,12 @@ void require_fits(const RobotDescription& robot, const BusBudget& budget) {
                     (robot.source / "robot.yaml").string()));
   }
   if (budget.load <= budget.max_load) return;
-  throw DescriptionError(fmt::format(
-      "{}: bus: {} joints with knots at {:g} Hz load a {:g} kbit/s bus to {:.1f} % in the worst case, but bus.max_load "
-      "allows {:.1f} %; lower bus.knot_rate or raise bus.bit_rate",
-      (robot.source / "robot.yaml").string(), robot.dof(), robot.bus.knot_rate_hz, robot.bus.bit_rate * 1e-3,
-      budget.load * 100.0, budget.max_load * 100.0));
+  throw DescriptionError(
+      fmt::format("{}: bus.knot_rate: {:g} Hz: {} joints at this rate load a bus of {:g} kbit/s to {:.1f} % in the "
+                  "worst case, where "
+                  "bus.max_load allows {:.1f} %; lower bus.knot_rate",
+                  (robot.source / "robot.yaml").string(), robot.bus.knot_rate_hz, robot.dof(),
+                  robot.bus.bit_rate * 1e-3, budget.load * 100.0, budget.max_load * 100.0));
 }
 
 }  // namespace mrr::sup

@@ -15,11 +15,12 @@ struct BusBudget {
   double max_load = 0.0;  ///< what the robot file allows
 };
 
-/// All periodic frames of a robot that streams knots (docs/wire.md): SYNC, two RPDOs and two TPDOs per joint and knot,
-/// the 10 Hz condition PDO, heartbeats.
+/// All periodic frames of a robot that streams knots (docs/protocol.md): SYNC, two RPDOs and two TPDOs per joint and
+/// knot, the 10 Hz condition PDO, heartbeats.
 [[nodiscard]] BusBudget bus_budget(const RobotDescription& robot);
 
-/// Throws DescriptionError with the computed load if it is above the robot file's limit.
+/// Throws DescriptionError naming file, key, value and remedy if the load is above the robot file's limit, or for CAN
+/// FD, which the modules do not speak.
 void require_fits(const RobotDescription& robot, const BusBudget& budget);
 
 }  // namespace mrr::sup

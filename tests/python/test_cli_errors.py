@@ -59,7 +59,7 @@ SPOILS = {
     "not a number": ("robot.yaml", "rated: 47 Nm", "rated: .nan Nm", ["robot.yaml", "joints.joint_1.transmission.rated"]),
     "misspelt key": ("robot.yaml", "knot_rate:", "knot_rat:", ["robot.yaml", "bus", "knot_rat"]),
     "overloaded bus": ("robot.yaml", "knot_rate: 250 Hz", "knot_rate: 500 Hz",
-                       ["robot.yaml", "bus.knot_rate", "500 Hz", "84.2 %", "80.0 %", "3 joints"]),
+                       ["robot.yaml", "bus.knot_rate", "500 Hz", "85.0 %", "80.0 %", "3 joints"]),
     "speed share out of range": ("robot.yaml", "max_speed_share: 1.0", "max_speed_share: 1.5", ["robot.yaml", "task.max_speed_share", "1.5", "1"]),
 }
 

@@ -143,7 +143,6 @@ TEST(Mrr3, ReadsEveryGroupOfValues) {
   EXPECT_FALSE(r.bus.fd);
   EXPECT_EQ(r.bus.bit_rate, 1e6);
   EXPECT_EQ(r.bus.knot_rate_hz, 250.0);
-  EXPECT_NEAR(cyclic_bus_load(r.bus, r.dof()), 0.42125, 1e-12);
   const JointDescription& j = r.joints[1];
   EXPECT_EQ(j.name, "joint_2");
   EXPECT_EQ(j.node_id, 3);
@@ -186,15 +185,6 @@ TEST(Arm7, ReachesItsNailComfortably) {
     EXPECT_GT(limits.upper_rad - q[i], 0.5);
     EXPECT_LT(std::abs(d.gravity_nm(static_cast<Eigen::Index>(i))), 0.5 * limits.torque_nm);
   }
-  EXPECT_LT(cyclic_bus_load(robot.bus, 7), robot.bus.max_load);
-}
-
-TEST(BusLoad, FollowsTheWorstCaseStuffingFormula) {
-  BusDescription bus;
-  EXPECT_NEAR(cyclic_bus_load(bus, 3), 0.42125, 1e-12);
-  EXPECT_NEAR(cyclic_bus_load(bus, 7), 0.96125, 1e-12);
-  bus.fd = true;
-  EXPECT_LT(cyclic_bus_load(bus, 7), 0.5);
 }
 
 TEST(LoadRobot, GivesTheSameEveryTime) {
@@ -370,11 +360,6 @@ const std::vector<Spoil> kSpoils = {
     {"slow_motor", kYaml, "max_velocity: 2000 rpm", "max_velocity: 1000 rpm", {"velocity limit of 1.5 rad/s"}},
     {"knots_not_dividing", kYaml, "knot_rate: 250 Hz", "knot_rate: 300 Hz", {"must divide the loop rate of 1000 Hz"}},
     {"loop_period", kYaml, "loop_rate: 1 kHz", "loop_rate: 1500 Hz", {"whole microseconds"}},
-    {"bus_overload",
-     kYaml,
-     "knot_rate: 250 Hz",
-     "knot_rate: 500 Hz",
-     {"3 joints", "84.2 % where max_load allows 80.0 %"}},
     {"chattering_gains",
      kYaml,
      "gain: 4, width: 0.3}",
