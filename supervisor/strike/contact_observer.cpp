@@ -7,7 +7,7 @@
 namespace mrr::sup {
 namespace {
 
-constexpr double kStandsOut = 2.5;      // standard deviations: not noise, when a contact is known to follow
+constexpr double kStandsOut = 3.5;      // standard deviations: not noise, when a contact is known to follow
 constexpr double kLongestRiseS = 0.06;  // above the noise for longer without a blow: the baseline has moved
 
 }  // namespace

@@ -40,15 +40,20 @@ TEST_P(EverySeed, HardwoodStopsByItselfAndLeavesTheNailWhereItWas) {
   for (const SwingTruth& swing : job.truth) EXPECT_TRUE(swing.hit);
 }
 
-// What the next blow is planned with, and what `flush` is judged by.
-TEST_P(EverySeed, RobotKnowsTheHeightOfTheHeadToAMillimetre) {
+// What the next blow is planned with, and what `flush` is judged by: the task says what the joints can tell
+// (still_tolerance). Single looks may be off by twice that, all of them together not by more than that (rms).
+TEST_P(EverySeed, RobotKnowsTheHeightOfTheHeadAsWellAsTheTaskSays) {
   const RobotDescription robot = example("mrr3");
   for (const char* board : {"styrofoam", "hardwood"}) {
     const HammerJobResult job = hammer(robot, board, seeded(GetParam()));
     ASSERT_FALSE(job.swings.empty()) << job.reason;
+    double sum_m2 = 0.0;
     for (std::size_t k = 0; k < job.swings.size(); ++k) {
-      EXPECT_NEAR(job.swings[k].head_height_after_m, job.truth[k].nail_height_m, 1e-3) << board << ", swing " << k + 1;
+      const double error_m = job.swings[k].head_height_after_m - job.truth[k].nail_height_m;
+      EXPECT_LE(std::abs(error_m), 2.0 * robot.task.still_tolerance_m) << board << ", swing " << k + 1;
+      sum_m2 += error_m * error_m;
     }
+    EXPECT_LE(std::sqrt(sum_m2 / static_cast<double>(job.swings.size())), robot.task.still_tolerance_m) << board;
     EXPECT_TRUE(job.verdict != sup::Verdict::flush || job.really_flush) << board << ": said to be flush, but is not";
   }
 }

@@ -98,7 +98,7 @@ void many_switches(std::uint64_t seed, bool base, int wanted) {
   auto p = base ? test::base_joint() : test::hammer_joint();
   p.gravity_nm = base ? 0.0 : random.uniform(0.0, 4.0);
   auto c = test::module_config(p, base);
-  c.passive.blend = milliseconds(static_cast<std::int64_t>(1 + random.below(6)));
+  c.passive.blend = milliseconds(static_cast<std::int64_t>(2 + random.below(5)));
   ModuleBench b(p, c, seed);
   ASSERT_TRUE(b.enable());
   SwitchWatch watch(c);
@@ -135,7 +135,8 @@ void many_switches(std::uint64_t seed, bool base, int wanted) {
         ASSERT_EQ(b.status().law, Law::passive);
       }
       b.joint.external_nm = random.uniform() < 0.5 ? random.uniform(-1.2, 1.2) * p.static_nm : 0.0;
-      b.run(random.uniform(0.001, 0.06));
+      // Now and then back before the blend is over.
+      b.run(random.uniform() < 0.3 ? 0.001 : random.uniform(0.001, 0.06));
       b.select(can::SelectionAction::now, true, next_sequence());
       b.tick();
       ASSERT_EQ(b.status().law, Law::active);

@@ -74,12 +74,12 @@ TEST(SwitchCondition, SwitchesOnTimeAlongThePlan) {
 }
 
 TEST(SwitchCondition, WaitsWhileTheMomentumIsThereButTheNailIsNot) {
-  // Half-way in the swing is fastest and has more momentum than the impact: that alone must not switch.
+  // Half-way in the swing, and faster than planned: more momentum than the impact alone must not switch.
   const Strike s;
   SwitchCondition condition(s.chain, s.plan, switch_config(s.robot));
   JointMotion m;
   s.plan.strike.sample(s.plan.contact_time / 2, m);
-  condition.step(m.q, m.qd);
+  condition.step(m.q, 1.5 * m.qd);
   EXPECT_GT(condition.state().momentum_ratio, 1.2);
   EXPECT_EQ(condition.state().verdict, SwitchVerdict::wait);
 }
