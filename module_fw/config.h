@@ -72,7 +72,7 @@ struct PassiveConfig {
   float torque_full_trend_nm = 5.0F;  ///< at rest: sensed torque from which the trend is whole; at least f_m above the
                                       ///< dead band, or torque and trend chase each other
   /// Fastest change of the trend (-1 .. 1); faster ones shake the joint loose by themselves.
-  float trend_rate_1_s = 80.0F;
+  float trend_rate_1_s = 60.0F;
   Duration blend = milliseconds(3);         ///< active torque fades into passive torque
   float resume_torque_slew_nm_s = 2000.0F;  ///< coming back
   Duration max_time = milliseconds(500);    ///< then active again by itself

@@ -16,7 +16,7 @@ namespace mrr::sup {
 struct ContactConfig {
   double residual_gain_1_s = 250.0;  ///< of the momentum observer, for the reported force
   double min_force_n = 4.0;          ///< never triggers below this
-  double sigmas = 4.5;               ///< threshold in standard deviations of the force before contact
+  double sigmas = 5.2;               ///< threshold in standard deviations of the force before contact
   double release_share = 0.4;        ///< contact is over below this share of the threshold
   int release_samples = 2;           ///< ... for that many samples
   double baseline_time_s = 0.04;     ///< time constant of the baseline and its noise, before contact

@@ -8,6 +8,7 @@
 namespace mrr::sup {
 
 namespace {
+constexpr double kBounce = 0.25;      // of the speed of approach
 constexpr int kMisses = 2;            // swings in a row that met nothing
 constexpr double kAnotherLook = 0.4;  // weight of one more look at a head that did not move
 
@@ -148,7 +149,9 @@ void HammerSession::learn() {
     // The face left the head where the head now is: a fresh measurement, not a sum of penetrations. Less than the
     // smallest motion that can be told apart is another look at the same place, and refines it.
     const double seen_m = (contact.face_end_m - task.nail_position_m).dot(task.normal);
-    if (head_height_m_ - seen_m > task.still_tolerance_m) {
+    // A hammer that bounces met something that stands: it takes more to believe that it moved.
+    const bool bounced = contact.speed_after_m_s < -kBounce * contact.speed_before_m_s;
+    if (head_height_m_ - seen_m > (bounced ? 2.0 : 1.0) * task.still_tolerance_m) {
       moved_m = head_height_m_ - seen_m;
       report.head_height_after_m = seen_m;
     } else {

@@ -259,7 +259,7 @@ TEST(ContactObserver, MeasuresABlowThroughSensorNoise) {
     worst_impulse = std::max(worst_impulse, std::abs(r.impulse_n_s / blow.impulse_n_s - 1.0));
     const double head_after = (r.face_end_m - s.plan.head_position_m).dot(s.plan.normal);
     worst_head = std::max(worst_head, std::abs(head_after - blow.head_after_m));
-    EXPECT_NEAR(r.start.seconds(), blow.start_s, 5e-3) << seed;
+    EXPECT_NEAR(r.start.seconds(), blow.start_s, 8e-3) << seed;  // two samples: noise may look like the first rise
   }
   EXPECT_LT(worst_impulse, 0.15);
   EXPECT_LT(worst_head, 1e-3);
