@@ -91,7 +91,7 @@ def test_blow_that_no_gear_stands_is_refused_with_the_joint_and_the_limit(robot,
     robot("robot.yaml", "rated: 16 Nm", "rated: 0.5 Nm", all_of_them=True)
     said = refused("--robot", robot("robot.yaml", "repeated_peak: 37 Nm", "repeated_peak: 1 Nm", all_of_them=True))
     assert_one_sentence(said)
-    for word in ("joint_2", "repeated peak", "Nms", "m/s"):
+    for word in ("joint_2", "repeated peak", "N m s", "m/s"):
         assert word in said, said
 
 
