@@ -16,7 +16,7 @@ constexpr std::optional<T> to_counts(R value, R counts_per_unit) noexcept {
   // The range's ends as reals may round up past the integer's: hence >= and <=.
   constexpr auto kLow = static_cast<R>(std::numeric_limits<T>::min());
   constexpr auto kHigh = static_cast<R>(std::numeric_limits<T>::max());
-  if (!(x == x)) return std::nullopt;
+  if (!(x == x)) return std::nullopt;  // NOLINT(misc-redundant-expression): NaN, without <cmath>
   if (x >= kHigh) return std::numeric_limits<T>::max();
   if (x <= kLow) return std::numeric_limits<T>::min();
   const T whole = static_cast<T>(x);  // towards zero

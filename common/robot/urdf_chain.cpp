@@ -299,7 +299,7 @@ std::optional<std::string> impossible_body(const LinkDescription& body) {
     return text.str();
   }
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solver(body.inertia_kg_m2, Eigen::EigenvaluesOnly);
-  const Eigen::Vector3d moments = solver.eigenvalues();  // ascending
+  const Eigen::Vector3d& moments = solver.eigenvalues();  // ascending
   if (!(moments(0) > 0.0)) {
     text << "has an inertia with a principal moment of " << moments(0)
          << " kg m^2, but all must be above 0; correct its <inertia>";

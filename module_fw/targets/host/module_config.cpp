@@ -14,7 +14,7 @@ class Fnv1a {
  public:
   void add(std::uint64_t value, int bytes) {
     for (int i = 0; i < bytes; ++i) {
-      hash_ ^= (value >> (8 * i)) & 0xFFU;
+      hash_ ^= static_cast<std::uint32_t>((value >> (8 * i)) & 0xFFU);
       hash_ *= 16777619U;
     }
   }
