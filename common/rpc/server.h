@@ -19,7 +19,8 @@ namespace mrr::rpc {
 
 struct ServerOptions {
   std::size_t max_clients = 16;  ///< a further one is told so and closed
-  /// A client with more than this unread is dropped. One reply may be longer if nothing else waits.
+  /// A client that leaves more than this unread loses events; if it also asks on, the connection. One reply may be
+  /// longer.
   std::size_t max_unread_bytes = 1024 * 1024;
 };
 
@@ -41,7 +42,8 @@ class Server {
   void on(const std::string& method, Handler handler);
 
   /// Sends {"method": "event", "params": `params`} to every client that has subscribed to `topic`: `subscribe` with no
-  /// params is for all topics, with {"events": ["topic", ...]} for those. Never blocks.
+  /// params is for all topics, with {"events": ["topic", ...]} for those. Never blocks: a client that does not read
+  /// loses events, and the next one it gets says how many in "dropped". `params` must be an object.
   void notify(std::string_view topic, const Json& params);
 
   /// Readable when serve() has something to do: for the caller's own poll().
