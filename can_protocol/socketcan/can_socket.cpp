@@ -4,9 +4,9 @@
 #include <linux/can/error.h>
 #include <linux/can/raw.h>
 #include <net/if.h>
-#include <poll.h>
 #include <sys/ioctl.h>
 #include <sys/socket.h>
+#include <sys/time.h>
 #include <unistd.h>
 
 #include <array>
@@ -121,6 +121,7 @@ struct CanSocket::Impl {
   Descriptor descriptor;
   std::string name;
   Duration offset{};  ///< CLOCK_REALTIME + offset = CLOCK_MONOTONIC
+  Duration wait{};    ///< SO_RCVTIMEO in force
   bool bus_off = false;
   bool link_down = false;
   CanSocketStatistics statistics;
@@ -133,7 +134,7 @@ struct CanSocket::Impl {
   std::array<iovec, kBatch> send_vector{};
   std::array<mmsghdr, kBatch> send_header{};
 
-  std::span<const ReceivedFrame> receive() noexcept;
+  std::span<const ReceivedFrame> receive(int flags = MSG_DONTWAIT) noexcept;
   Time arrival(msghdr& header) noexcept;
   void note_error_frame(const canfd_frame& frame) noexcept;
 };
@@ -144,7 +145,7 @@ CanSocket& CanSocket::operator=(CanSocket&&) noexcept = default;
 CanSocket::~CanSocket() = default;
 
 CanSocket CanSocket::open(const std::string& interface, const CanSocketOptions& options) {
-  Descriptor descriptor(::socket(PF_CAN, SOCK_RAW | SOCK_CLOEXEC | SOCK_NONBLOCK, CAN_RAW));
+  Descriptor descriptor(::socket(PF_CAN, SOCK_RAW | SOCK_CLOEXEC, CAN_RAW));
   const int fd = descriptor.get();
   if (fd < 0) throw no_can(errno);
   const int index = interface_index(fd, interface, options.fd);
@@ -205,7 +206,7 @@ void CanSocket::Impl::note_error_frame(const canfd_frame& frame) noexcept {
   if ((frame.can_id & CAN_ERR_RESTARTED) != 0) bus_off = false;
 }
 
-std::span<const ReceivedFrame> CanSocket::Impl::receive() noexcept {
+std::span<const ReceivedFrame> CanSocket::Impl::receive(int flags) noexcept {
   std::size_t count = 0;
   while (count == 0) {
     for (std::size_t i = 0; i < kBatch; ++i) {
@@ -216,9 +217,9 @@ std::span<const ReceivedFrame> CanSocket::Impl::receive() noexcept {
       header.msg_control = receive_control[i].bytes.data();
       header.msg_controllen = kControlBytes;
     }
-    const int n = ::recvmmsg(descriptor.get(), receive_header.data(), kBatch, MSG_DONTWAIT, nullptr);
+    const int n = ::recvmmsg(descriptor.get(), receive_header.data(), kBatch, flags, nullptr);
     if (n < 0) {
-      if (errno == EINTR) continue;
+      if (errno == EINTR && flags == MSG_DONTWAIT) continue;
       if (errno == ENETDOWN || errno == ENODEV) link_down = true;
       break;
     }
@@ -246,10 +247,14 @@ std::span<const ReceivedFrame> CanSocket::Impl::receive() noexcept {
 std::span<const ReceivedFrame> CanSocket::receive() noexcept { return impl_->receive(); }
 
 std::span<const ReceivedFrame> CanSocket::receive(Duration timeout) noexcept {
-  pollfd p{impl_->descriptor.get(), POLLIN, 0};
-  const timespec t{timeout.ns / 1'000'000'000, timeout.ns % 1'000'000'000};
-  if (::ppoll(&p, 1, &t, nullptr) <= 0) return {};
-  return impl_->receive();
+  if (timeout.ns <= 0) return impl_->receive();
+  // One system call instead of two: the kernel waits for the first frame and hands over all there are.
+  if (timeout != impl_->wait) {
+    const timeval t{timeout.ns / 1'000'000'000, (timeout.ns / 1'000 % 1'000'000) + 1};
+    if (::setsockopt(impl_->descriptor.get(), SOL_SOCKET, SO_RCVTIMEO, &t, sizeof t) != 0) return {};
+    impl_->wait = timeout;
+  }
+  return impl_->receive(MSG_WAITFORONE);
 }
 
 std::size_t CanSocket::send(std::span<const Frame> frames) noexcept {

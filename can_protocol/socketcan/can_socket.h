@@ -47,7 +47,7 @@ struct CanSocketStatistics {
   std::int64_t bus_off_events = 0;
 };
 
-/// One raw CAN socket, non-blocking. Everything is allocated by open(); nothing afterwards.
+/// One raw CAN socket; no call but receive(timeout) ever waits. Everything is allocated by open(); nothing afterwards.
 ///
 /// Arrival times are the kernel's (SO_TIMESTAMPNS, CLOCK_REALTIME), converted to CLOCK_MONOTONIC with an offset that is
 /// measured at open() and by measure_clock_offset(), not in between: when the system's time is stepped, arrival times
@@ -65,7 +65,8 @@ class CanSocket {
   /// What has arrived, oldest first, at most kBatch frames; never waits. Empty: nothing is left. Valid until the next
   /// call. `at` is CLOCK_MONOTONIC.
   [[nodiscard]] std::span<const ReceivedFrame> receive() noexcept;
-  /// As receive(), but waits up to `timeout` for the first frame. Returns earlier, empty, when a signal comes.
+  /// As receive(), but waits up to `timeout` for the first frame (cheapest when it is always the same). Returns
+  /// earlier, empty, when a signal comes.
   [[nodiscard]] std::span<const ReceivedFrame> receive(Duration timeout) noexcept;
 
   /// Hands frames to the kernel. What it does not take at once is dropped and counted, never kept: nothing stale may
