@@ -128,8 +128,7 @@ Json Client::call(const std::string& method, const Json& params, std::chrono::mi
       sent += static_cast<std::size_t>(n);
       continue;
     }
-    if (errno != EAGAIN && errno != EINTR)
-      throw ConnectionError(fmt::format("{}: {} has closed the connection", socket_.string(), program_));
+    if (errno != EAGAIN && errno != EINTR) break;  // closed: why may be there to be read
     in_time();
     pollfd wait{fd_, POLLOUT, 0};
     ::poll(&wait, 1, static_cast<int>(left_until(end).count()));
