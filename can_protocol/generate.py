@@ -30,6 +30,16 @@ KEYS = {"index", "sub", "name", "type", "access", "doc", "pdo", "scale", "unit",
         "stored", "test_only", "length"}
 
 
+# Ending of a name: (one count in SI, SI unit, ending of the name once the value is in SI).
+UNIT_ENDINGS = {
+    "urad": (1e-6, "rad", "rad"), "urad_s": (1e-6, "rad/s", "rad_s"), "mrad_s2": (1e-3, "rad/s^2", "rad_s2"),
+    "us": (1e-6, "s", "s"), "ms": (1e-3, "s", "s"), "ns": (1e-9, "s", "s"), "100us": (1e-4, "s", "s"),
+    "ma": (1e-3, "A", "a"), "mnm": (1e-3, "N m", "nm"), "cv": (1e-2, "V", "v"), "ddegc": (1e-1, "degC", "degc"),
+    "degc": (1, "degC", "degc"), "hz": (1, "Hz", "hz"),
+    "permille": (1e-3, "1", "ratio"), "percent": (1e-2, "1", "ratio"), "ppb": (1e-9, "1", "ratio"),
+}
+
+
 class SchemaError(Exception):
     pass
 
@@ -70,6 +80,27 @@ class Entry:
     @property
     def is_integer(self):
         return self.type not in ("f32", "string")
+
+    def unit_ending(self):
+        """The longest ending of the name that is a unit, or None."""
+        endings = [e for e in UNIT_ENDINGS if self.name.endswith("_" + e)]
+        return max(endings, key=len) if endings else None
+
+    def si_name(self):
+        """The name of the value in SI units: position_actual_urad is position_actual_rad there."""
+        ending = self.unit_ending()
+        return self.name[:-len(ending)] + UNIT_ENDINGS[ending][2] if ending else self.name
+
+    def check_unit(self):
+        """Name, scale and unit of an integer say the same."""
+        if not self.is_integer:
+            return
+        ending = self.unit_ending()
+        scale, unit = UNIT_ENDINGS[ending][:2] if ending else (1, None)
+        if ending and (self.scale, self.unit) != (scale, unit):
+            raise SchemaError(f"{self.name} ends in _{ending}, which is {scale:g} {unit}, but has {self.scale:g} {self.unit or '(no unit)'}")
+        if not ending and self.scale != 1:
+            raise SchemaError(f"{self.name} counts in {self.scale:g} {self.unit}: its name must end in that unit")
 
     def type_range(self):
         bits = 8 * self.size
@@ -202,6 +233,7 @@ class Schema:
             seen_name.add(entry.name)
             if entry.size > 32:
                 raise SchemaError(f"{entry.name}: larger than 32 bytes")
+            entry.check_unit()
             limits = entry.limits()
             if limits and entry.type == "u64":
                 raise SchemaError(f"{entry.name}: u64 objects can have no limits")
@@ -395,7 +427,7 @@ def eds_entry(entry, name, section, sub_number=None):
         access = "rww"
     lines = [f"[{section}]", f"ParameterName={name}", "ObjectType=0x7", f"DataType=0x{TYPES[entry.type][2]:04X}"]
     limits = entry.limits()
-    if limits and entry.is_integer:
+    if limits:
         lines += [f"LowLimit={limits[0]}", f"HighLimit={limits[1]}"]
     lines += [f"AccessType={access}", f"DefaultValue={eds_value(entry)}", f"PDOMapping={int(mappable)}"]
     return lines + [""]
@@ -405,8 +437,8 @@ def eds(schema):
     d = schema.device
     rates = [10, 20, 50, 125, 250, 500, 800, 1000]
     out = ["[FileInfo]", "FileName=module.eds", "FileVersion=1", "FileRevision=1", "EDSVersion=4.0",
-           "Description=MRR joint module, made by generate.py", "CreationTime=00:00AM", "CreationDate=01-01-2024", "CreatedBy=generate.py",
-           "ModificationTime=00:00AM", "ModificationDate=01-01-2024", "ModifiedBy=generate.py", "",
+           "Description=MRR joint module, made by generate.py", "CreationTime=12:00AM", "CreationDate=01-01-2024", "CreatedBy=generate.py",
+           "ModificationTime=12:00AM", "ModificationDate=01-01-2024", "ModifiedBy=generate.py", "",
            "[DeviceInfo]", f"VendorName={d['vendor_name']}", f"VendorNumber={d['vendor_number']}",
            f"ProductName={d['product_name']}", f"ProductNumber={d['product_number']}", f"RevisionNumber={d['revision_number']}",
            "OrderCode=0", *[f"BaudRate_{r}={int(r in d['bit_rates_kbit'])}" for r in rates],
@@ -434,7 +466,8 @@ def eds(schema):
 # ---- DBC ----
 
 def dbc(schema, nodes):
-    """nodes: [(name, id)]."""
+    """nodes: [(name, id)]. Physical values are SI, and so are the signals' names: position_actual_urad counts 1e-6 rad,
+    so its signal is position_actual_rad with factor 1e-6."""
     out = ['VERSION ""', "", "NS_ :", "", "BS_:", "", "BU_: supervisor " + " ".join(n for n, _ in nodes), ""]
     comments, values = [], []
 
@@ -450,7 +483,7 @@ def dbc(schema, nodes):
     def pdo_signals(pdo, receiver):
         at = 0
         for e in pdo["entries"]:
-            yield (e.name, at, 8 * e.size, e.type[0] == "i", e.scale, e.unit if e.unit != "1" else "", receiver)
+            yield (e.si_name(), at, 8 * e.size, e.type[0] == "i", e.scale, e.unit if e.unit != "1" else "", receiver)
             at += 8 * e.size
 
     message(0x000, "nmt", 2, "supervisor", [("nmt_command", 0, 8, False, 1, "", "Vector__XXX"),
@@ -566,8 +599,16 @@ def main():
     parser.add_argument("what", choices=["cpp", "eds", "dbc", "markdown", "python"])
     parser.add_argument("output")
     parser.add_argument("--node", action="append", default=[], metavar="NAME=ID")
+    parser.add_argument("--schema", type=pathlib.Path, default=SCHEMA, help="instead of schema/module.yaml")
     args = parser.parse_args()
-    schema = Schema()
+    try:
+        schema = Schema(args.schema)
+        make(args, parser, schema)
+    except SchemaError as error:
+        sys.exit(f"{args.schema}: {error}")
+
+
+def make(args, parser, schema):
     if args.what == "cpp":
         write(pathlib.Path(args.output) / "object_dictionary.h", cpp_object_dictionary(schema))
         write(pathlib.Path(args.output) / "pdo.h", cpp_pdo(schema))
@@ -586,7 +627,4 @@ def main():
 
 
 if __name__ == "__main__":
-    try:
-        main()
-    except SchemaError as error:
-        sys.exit(f"{SCHEMA}: {error}")
+    main()

@@ -1,6 +1,7 @@
 """What the schema generates, as stock tools read it: the EDS by canopen, the DBC by cantools; and the page in docs is up to date."""
 
 import importlib.util
+import re
 import struct
 import subprocess
 
@@ -99,20 +100,42 @@ def dbc(generate):
     return cantools.database.load_file(generate("dbc", "--node", "base=2", "--node", "shoulder=3"), database_format="dbc")
 
 
+# What the ending of a raw name counts in, and how the SI value is called; written down here a second time on purpose.
+RAW_ENDINGS = {"_urad_s": ("_rad_s", 1e-6, "rad/s"), "_mrad_s2": ("_rad_s2", 1e-3, "rad/s^2"), "_urad": ("_rad", 1e-6, "rad"),
+               "_us": ("_s", 1e-6, "s"), "_permille": ("_ratio", 1e-3, None), "_percent": ("_ratio", 1e-2, None),
+               "_ddegc": ("_degc", 0.1, "degC"), "_degc": ("_degc", 1, "degC"), "_cv": ("_v", 0.01, "V")}
+
+
+def si_of(raw, constants):
+    """(name, factor, unit) that the signal of an object must have."""
+    for ending, (si, factor, unit) in RAW_ENDINGS.items():
+        if raw.endswith(ending):
+            assert constants.OBJECTS[raw][3] == factor, raw
+            return raw[:-len(ending)] + si, factor, unit
+    return raw, 1, None
+
+
+def physical(signal):
+    return signal.name, signal.scale, signal.unit
+
+
 def test_dbc_has_every_pdo_of_every_node(dbc, constants):
     for name, (cob_id, has_node_id, content) in constants.PDOS.items():
         for node in ((2, 3) if has_node_id else (0,)):
             message = dbc.get_message_by_frame_id(cob_id + node)
-            assert [s.name for s in message.signals] == list(content), name
+            signals = message.signals
+            assert len(signals) == len(content), name
+            for signal, raw in zip(signals, content):
+                assert physical(signal) == si_of(raw, constants), raw
 
 
 def test_dbc_decodes_to_si(dbc):
     data = struct.pack("<HbiB", 0x1637, -1, -1234567, 3)
     assert dbc.decode_message(0x183, data) == {
-        "statusword": 0x1637, "modes_of_operation_display": -1, "position_actual_urad": pytest.approx(-1.234567),
+        "statusword": 0x1637, "modes_of_operation_display": -1, "position_actual_rad": pytest.approx(-1.234567),
         "selection_acknowledged": 3}
-    assert dbc.get_message_by_frame_id(0x183).get_signal_by_name("position_actual_urad").unit == "rad"
-    knot = {"target_position_urad": 0.5, "velocity_offset_urad_s": -2.0}
+    assert dbc.get_message_by_frame_id(0x183).get_signal_by_name("position_actual_rad").unit == "rad"
+    knot = {"target_position_rad": 0.5, "velocity_offset_rad_s": -2.0}
     assert dbc.encode_message(0x302, knot) == struct.pack("<ii", 500000, -2000000)
     emergency = dbc.decode_message(0x082, struct.pack("<HB5s", 0x8611, 0x21, bytes(5)))
     assert str(emergency["emergency_code"]) == "following_error"
@@ -138,4 +161,97 @@ def test_dbc_refuses_nodes_that_cannot_be(source_dir, tmp_path, options):
     done = subprocess.run([GENERATOR_PYTHON, source_dir / "can_protocol" / "generate.py", "dbc", tmp_path / "x", *options],
                           capture_output=True, text=True)
     assert done.returncode != 0 and "error" in done.stderr
+    assert not (tmp_path / "x").exists()
+
+
+@pytest.fixture(scope="module")
+def from_changed_schema(source_dir, tmp_path_factory):
+    """from_changed_schema(OLD, NEW, ...): every file of a schema in which one text is another; and of the schema as it is."""
+    schema = (source_dir / "can_protocol" / "schema" / "module.yaml").read_text()
+
+    def run(*changes):
+        folder = tmp_path_factory.mktemp("changed")
+        changed = schema
+        for old, new in changes:
+            assert changed.count(old) == 1, old
+            changed = changed.replace(old, new)
+        (folder / "module.yaml").write_text(changed)
+        made = {}
+        for what in ("cpp", "eds", "dbc", "markdown", "python"):
+            options = ["--node", "base=2"] if what == "dbc" else []
+            subprocess.run([GENERATOR_PYTHON, source_dir / "can_protocol" / "generate.py", what, folder / what, *options,
+                            "--schema", folder / "module.yaml"], check=True)
+            if what == "cpp":
+                made["dictionary"] = (folder / what / "object_dictionary.h").read_text()
+                made["pdo"] = (folder / what / "pdo.h").read_text()
+            else:
+                made[what] = (folder / what).read_text()
+        return made
+
+    return run
+
+
+def lines_changed(before, after):
+    """(lines only before, lines only after)."""
+    old, new = before.splitlines(), after.splitlines()
+    return [line for line in old if line not in new], [line for line in new if line not in old]
+
+
+def test_one_change_of_a_limit_reaches_everything_that_has_limits(from_changed_schema):
+    before = from_changed_schema()
+    after = from_changed_schema(("low: 1000, high: 1000000,", "low: 1000, high: 777000,"))
+    assert "1000LL, 777000LL" in after["dictionary"] and "1000LL, 777000LL" not in before["dictionary"]
+    assert "HighLimit=777000" in lines_changed(before["eds"], after["eds"])[1]
+    (row,) = [line for line in lines_changed(before["markdown"], after["markdown"])[1] if "2003h" in line]
+    assert "1000 .. 777000" in row
+    # A PDO has no limits; but every side sees by the hash that it is another protocol.
+    assert before["pdo"] == after["pdo"] and before["dbc"] == after["dbc"]
+    hashes = [re.search(r"PROTOCOL_HASH = (0x\w{8})", made["python"])[1] for made in (before, after)]
+    assert hashes[0] != hashes[1]
+    assert hashes[1] + "U" in after["dictionary"]
+    assert f"DefaultValue=0x{int(hashes[1], 0):X}" in lines_changed(before["eds"], after["eds"])[1]
+    assert f"`{hashes[1][2:]}h`" in after["markdown"]
+
+
+def test_one_change_of_a_name_and_type_reaches_all(from_changed_schema):
+    before = from_changed_schema()
+    after = from_changed_schema(("name: torque_actual_permille, type: i16", "name: joint_torque_permille, type: i32"),
+                                ("map: [velocity_actual_urad_s, torque_actual_permille, error_or_limit]",
+                                 "map: [velocity_actual_urad_s, joint_torque_permille]"))
+    for what in ("dictionary", "pdo", "eds", "markdown", "python"):
+        assert "torque_actual_permille" in before[what] and "torque_actual_permille" not in after[what], what
+        assert "joint_torque_permille" in after[what], what
+    assert "std::int32_t joint_torque_permille" in after["dictionary"] and "std::int32_t joint_torque_permille" in after["pdo"]
+    assert "SG_ torque_actual_ratio : 32|16@1-" in before["dbc"] and "SG_ joint_torque_ratio : 32|32@1-" in after["dbc"]
+    assert "'joint_torque_permille': (0x6077, 0, 'i32', 0.001, '1')," in after["python"]
+    assert "ParameterName=joint_torque_permille\nObjectType=0x7\nDataType=0x0004" in after["eds"]
+    assert "0x60770020U" in after["dictionary"] and "DefaultValue=0x60770020" in after["eds"]
+
+
+def test_a_text_alone_is_no_other_protocol(from_changed_schema):
+    before = from_changed_schema()
+    after = from_changed_schema(('doc: "Control word."', 'doc: "The word of control."'))
+    assert "The word of control." in after["dictionary"] and "The word of control." in after["markdown"]
+    for what in ("eds", "dbc", "python"):
+        assert before[what] == after[what], what
+
+
+@pytest.mark.parametrize("old, new, complaint", [
+    ("name: position_demand_urad, type: i32", "name: position_demand_mrad_s2, type: i32", "position_demand_mrad_s2 ends in _mrad_s2"),
+    ("name: position_demand_urad, type: i32", "name: position_demand, type: i32", "position_demand counts in 1e-06 rad"),
+    ("index: 0x6062,", "index: 0x6064,", "6064h:00) is there twice"),
+    ("name: statusword, type: u16", "name: statusword, type: u15", "type u15 is none of"),
+    ("map: [controlword, modes_of_operation]", "map: [controlword, uptime_us]", "more than 8 bytes"),
+    ("map: [controlword, modes_of_operation]", "map: [statusword]", "statusword is not mappable"),
+    ("default: 4, low: 1, high: 255", "default: 0, low: 1, high: 255", "default 0 outside"),
+    ("default: 4, low: 1, high: 255", "default: 4, low: 1, high: 256", "outside its type's"),
+])
+def test_a_schema_that_contradicts_itself_is_refused(source_dir, tmp_path, old, new, complaint):
+    text = (source_dir / "can_protocol" / "schema" / "module.yaml").read_text()
+    assert text.count(old) == 1
+    (tmp_path / "bad.yaml").write_text(text.replace(old, new))
+    done = subprocess.run([GENERATOR_PYTHON, source_dir / "can_protocol" / "generate.py", "eds", tmp_path / "x",
+                           "--schema", tmp_path / "bad.yaml"], capture_output=True, text=True)
+    assert done.returncode != 0
+    assert str(tmp_path / "bad.yaml") in done.stderr and complaint in done.stderr
     assert not (tmp_path / "x").exists()
