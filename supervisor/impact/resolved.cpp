@@ -1,0 +1,477 @@
+#include "supervisor/impact/resolved.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+
+#include "supervisor/impact/internal.h"
+
+namespace mrr::sup {
+namespace {
+
+constexpr double kRunIn_s = 0.012;  // before the switch, so that loops and springs are as they are in motion
+constexpr double kLongestStep_s = 2.5e-4;
+constexpr double kStepPerPeriod = 0.35;  // step times the fastest frequency
+constexpr double kMostStepsPerTick = 50.0;
+constexpr double kMergeGap_s = 5e-3;  // touches separated by less are one contact
+constexpr double kLongest_s = 0.4;    // after the planned contact
+// The firmware's own constants.
+constexpr double kObserver_1_s = 2500.0;  // double pole of the velocity observer
+constexpr double kReferenceStill_rad_s = 2e-3;
+constexpr double kVelocityMargin_rad_s = 0.15;
+constexpr double kLeash_rad = 0.008;
+constexpr double kTrendRate_1_s = 60.0;
+constexpr double kTrendStill_rad_s = 0.02;
+constexpr double kTrendMoving_rad_s = 0.05;
+// And the supervisor's.
+constexpr double kRubberGives_m = 0.006;
+constexpr double kLeastLever_m = 0.05;
+
+double sat(double x) noexcept { return std::clamp(x, -1.0, 1.0); }
+double sign(double x) noexcept { return x > 0.0 ? 1.0 : (x < 0.0 ? -1.0 : 0.0); }
+std::size_t at(int i) noexcept { return static_cast<std::size_t>(i); }
+
+/// Torque of the transmission's spring, odd, piecewise linear.
+double spring_torque(const JointDrive& d, double twist) noexcept {
+  const double x = std::abs(twist);
+  const double x1 = d.stiffness_break_nm[0] / d.stiffness_nm_rad[0];
+  if (x <= x1) return d.stiffness_nm_rad[0] * twist;
+  const double x2 = x1 + (d.stiffness_break_nm[1] - d.stiffness_break_nm[0]) / d.stiffness_nm_rad[1];
+  const double torque = x <= x2 ? d.stiffness_break_nm[0] + d.stiffness_nm_rad[1] * (x - x1)
+                                : d.stiffness_break_nm[1] + d.stiffness_nm_rad[2] * (x - x2);
+  return std::copysign(torque, twist);
+}
+double spring_twist(const JointDrive& d, double torque) noexcept {
+  const double t = std::abs(torque);
+  double x = std::min(t, d.stiffness_break_nm[0]) / d.stiffness_nm_rad[0];
+  x += std::clamp(t - d.stiffness_break_nm[0], 0.0, d.stiffness_break_nm[1] - d.stiffness_break_nm[0]) /
+       d.stiffness_nm_rad[1];
+  x += std::max(t - d.stiffness_break_nm[1], 0.0) / d.stiffness_nm_rad[2];
+  return std::copysign(x, torque);
+}
+
+struct Scalar {
+  double s = 0.0, v = 0.0, a = 0.0;
+};
+
+/// s(t) of the reference; see ReferenceProfile.
+Scalar profile(const ReferenceProfile& r, double t) noexcept {
+  if (t < 0.0) {
+    const double T = r.approach_s;
+    if (t <= -T) return {-r.travel_s, 0.0, 0.0};
+    const double x = 1.0 + t / T;
+    const double L = r.travel_s / T;  // quintic from (-L, 0, 0) to (0, 1, 0), in units of T
+    const double c3 = 10.0 * L - 4.0;
+    const double c4 = -15.0 * L + 7.0;
+    const double c5 = 6.0 * L - 3.0;
+    return {T * (-L + x * x * x * (c3 + x * (c4 + x * c5))), x * x * (3.0 * c3 + x * (4.0 * c4 + x * 5.0 * c5)),
+            x * (6.0 * c3 + x * (12.0 * c4 + x * 20.0 * c5)) / T};
+  }
+  if (t < r.stop_s) {
+    const double x = t / r.stop_s;
+    return {r.stop_s * x * (1.0 - x * x * (1.0 - 0.5 * x)), 1.0 - x * x * (3.0 - 2.0 * x),
+            -6.0 * x * (1.0 - x) / r.stop_s};
+  }
+  const double way = -r.travel_s - 0.5 * r.stop_s;
+  const double x = std::min((t - r.stop_s) / r.return_s, 1.0);
+  const double u = 1.0 - x;
+  return {0.5 * r.stop_s + way * x * x * x * (10.0 - x * (15.0 - 6.0 * x)), 30.0 * way * x * x * u * u / r.return_s,
+          60.0 * way * x * u * (1.0 - 2.0 * x) / (r.return_s * r.return_s)};
+}
+
+/// One joint: rotor, sensors, law.
+struct Joint {
+  double motor_q = 0.0, motor_v = 0.0;                 // joint side
+  double bristle = 0.0;                                // rad
+  double command = 0.0, torque = 0.0;                  // asked for, and what the current gives
+  double carried = 0.0;                                // by the transmission, on the link in + direction
+  double sensed = 0.0;                                 // the same after the sensor's filter
+  double seen_q = 0.0, seen_rest = 0.0, seen_v = 0.0;  // velocity observer, rad and rad per tick
+  std::array<double, 4> integral{};
+  bool saturated = false;
+  bool passive = false;
+  double trend = 0.0, blend_left_s = 0.0, blend_from = 0.0, blend_to = 0.0;
+  bool own_reference = false;  // it has been called back
+  bool catching_up = false;
+  double reference_q = 0.0, reference_v = 0.0;
+  double at_start = 0.0, sum = 0.0, peak = 0.0;  // of the contact
+};
+
+/// A blow from just before the switch until the face has left.
+class Blow {
+ public:
+  Blow(const StrikeArm& arm, const PredictInput& input) noexcept
+      : arm_(arm), in_(input), n_(arm.chain.dof()), q_(input.q), v_(input.qd) {}
+  Prediction run() noexcept;
+
+ private:
+  void start(double t) noexcept;
+  void new_pose() noexcept;
+  void expect(double t) noexcept;
+  void control(double t) noexcept;
+  double active_torque(int i, const Scalar& s) noexcept;
+  void resume(double t) noexcept;
+  [[nodiscard]] bool sinking() const noexcept;
+  void touch() noexcept;
+  void step() noexcept;
+  void record(double t) noexcept;
+  void conclude() noexcept;
+  [[nodiscard]] Scalar reference(double t) const noexcept;
+  [[nodiscard]] bool is_passive(int i) const noexcept { return in_.joints[at(i)] == JointHold::free; }
+
+  const StrikeArm& arm_;
+  const PredictInput& in_;
+  int n_;
+  JointVector q_, v_, accel_;  // links
+  std::array<Joint, kMaxJoints> joint_{};
+  double h_ = kLongestStep_s;
+  double observer_pole_ = 0.0;
+  std::array<double, kMaxJoints> current_keep_{}, sensor_keep_{};
+  // Of the pose last looked at.
+  JointVector pose_q_, lever_, bias_;
+  JointMatrix inverse_;  // M^-1
+  double pose_gap_ = 0.0;
+  JointVector expected_;  // what the supervisor says the links ask for, Nm
+  // Contact. Heights are along the normal, over the head's before the blow.
+  Eigen::Vector3d head_m_ = Eigen::Vector3d::Zero();
+  double head_height_ = 0.0;
+  double nail_v_ = 0.0;
+  double force_ = 0.0;
+  bool touched_ = false;
+  double began_s_ = 0.0, ended_s_ = 0.0;
+  JointVector begin_v_, begin_accel_, end_v_;
+  double begin_height_ = 0.0;
+  // Coming back.
+  bool resumed_ = false;
+  double resumed_s_ = 0.0, stopping_s_ = 1.0;
+  Scalar resumed_at_;
+  Prediction out_;
+};
+
+Scalar Blow::reference(double t) const noexcept {
+  if (!resumed_ || t < resumed_s_) return profile(in_.reference, t);
+  const double x = std::min((t - resumed_s_) / stopping_s_, 1.0);  // the supervisor's stopping motion
+  return {resumed_at_.s + resumed_at_.v * stopping_s_ * x * (1.0 - x * x * (1.0 - 0.5 * x)),
+          resumed_at_.v * (1.0 - x * x * (3.0 - 2.0 * x)), -6.0 * resumed_at_.v * x * (1.0 - x) / stopping_s_};
+}
+
+void Blow::new_pose() noexcept {
+  pose_q_ = q_;
+  const ChainPose pose = arm_.chain.pose(q_);
+  const Jacobian J = arm_.chain.jacobian(pose);
+  lever_.noalias() = J.topRows<3>().transpose().lazyProduct(in_.normal);
+  pose_gap_ = in_.normal.dot(pose.face.position_m - head_m_);
+  inverse_ = arm_.chain.mass_matrix(pose).llt().solve(JointMatrix::Identity(n_, n_));
+  bias_ = arm_.chain.inverse_dynamics(pose, v_, JointVector::Zero(n_));
+}
+
+/// The model's torque that comes with the knots.
+void Blow::expect(double t) noexcept {
+  const Scalar s = reference(t);
+  expected_ = arm_.chain.inverse_dynamics(arm_.chain.pose(in_.q + in_.qd * s.s), in_.qd * s.v, in_.qd * s.a);
+}
+
+/// In steady motion along the reference.
+void Blow::start(double t) noexcept {
+  head_m_ = arm_.chain.face_pose(in_.q).position_m - in_.early_m * in_.normal;
+  const Scalar s = profile(in_.reference, t);
+  q_ = in_.q + in_.qd * s.s;
+  v_ = in_.qd * s.v;
+  accel_ = in_.qd * s.a;
+  expect(t);
+  for (int i = 0; i < n_; ++i) {
+    const JointDrive& d = arm_.drive[at(i)];
+    Joint& j = joint_[at(i)];
+    j.motor_q = j.seen_q = q_[i];
+    j.motor_v = v_[i];
+    j.seen_v = v_[i] * arm_.tick_s;
+    j.carried = j.sensed = expected_[i];
+    q_[i] -= spring_twist(d, expected_[i]);
+    if (d.friction.static_nm > 0.0) {
+      j.bristle = d.presliding_rad * sign(v_[i]) * d.friction.coulomb_nm / d.friction.static_nm;
+    }
+    j.torque = j.command = d.rotor_inertia_kg_m2 * accel_[i] + expected_[i] + friction_torque_nm(d.friction, v_[i]);
+  }
+  new_pose();
+  double fastest2 = in_.contact.face_stiffness_n_m * lever_.dot(inverse_ * lever_);
+  for (int i = 0; i < n_; ++i) {
+    const JointDrive& d = arm_.drive[at(i)];
+    const double k = *std::max_element(d.stiffness_nm_rad.begin(), d.stiffness_nm_rad.end());
+    fastest2 =
+        std::max(fastest2, k * inverse_(i, i) + (k + d.friction.static_nm / d.presliding_rad) / d.rotor_inertia_kg_m2);
+  }
+  const double steps = std::ceil(arm_.tick_s / std::min(kLongestStep_s, kStepPerPeriod / std::sqrt(fastest2)));
+  h_ = arm_.tick_s / std::clamp(steps, 1.0, kMostStepsPerTick);
+  for (int i = 0; i < n_; ++i) {
+    constexpr double kTwoPi = 2.0 * std::numbers::pi;
+    current_keep_[at(i)] = std::exp(-kTwoPi * arm_.drive[at(i)].current_bandwidth_hz * h_);
+    sensor_keep_[at(i)] = std::exp(-kTwoPi * arm_.drive[at(i)].sensor_bandwidth_hz * h_);
+  }
+}
+
+/// Passive joints are called back: the supervisor stops its reference, they take over from where they are.
+void Blow::resume(double t) noexcept {
+  resumed_at_ = profile(in_.reference, t);
+  resumed_s_ = t;
+  stopping_s_ = 4.0 * arm_.knot_s;
+  for (int i = 0; i < n_; ++i) {
+    const JointDrive& d = arm_.drive[at(i)];
+    stopping_s_ = std::max(stopping_s_, 1.5 * std::abs(in_.qd[i] * resumed_at_.v) / d.stop_deceleration_rad_s2);
+    Joint& j = joint_[at(i)];
+    if (!j.passive) continue;
+    j.passive = false;
+    j.own_reference = j.catching_up = true;
+    j.integral = {};
+    j.reference_q = j.motor_q;
+    j.reference_v = j.seen_v / arm_.tick_s;
+  }
+  resumed_ = true;
+}
+
+/// The supervisor's rule: passive and hardly slowed down, the arm needs the rest of the way to the board to stop.
+bool Blow::sinking() const noexcept {
+  const double height = pose_gap_ + lever_.dot(q_ - pose_q_);
+  if (!(-height >= kRubberGives_m)) return false;
+  const double speed = -lever_.dot(v_);
+  if (!(speed > arm_.sinking_share * -lever_.dot(in_.qd))) return false;
+  double deceleration = std::numeric_limits<double>::infinity();
+  for (int i = 0; i < n_; ++i) {
+    if (!is_passive(i) || std::abs(lever_[i]) < kLeastLever_m) continue;
+    deceleration = std::min(deceleration, std::abs(lever_[i]) * arm_.drive[at(i)].stop_deceleration_rad_s2);
+  }
+  return -height + speed * (1.5 * arm_.knot_s + 0.5 * speed / deceleration) >= in_.contact.nail_room_m;
+}
+
+/// The active law (14)-(18) with its compensator.
+double Blow::active_torque(int i, const Scalar& s) noexcept {
+  const JointDrive& d = arm_.drive[at(i)];
+  Joint& j = joint_[at(i)];
+  double q_d = in_.q[i] + in_.qd[i] * s.s;
+  double v_d = in_.qd[i] * s.v;
+  double a_d = in_.qd[i] * s.a;
+  const double seen_v = j.seen_v / arm_.tick_s;
+  if (j.own_reference) {
+    // It comes to rest by itself, never faster than the joint.
+    const double way = sign(j.reference_v);
+    j.reference_v = way * std::clamp(way * seen_v + kVelocityMargin_rad_s, 0.0, std::abs(j.reference_v));
+    a_d = std::clamp(-100.0 * j.reference_v, -d.stop_deceleration_rad_s2, d.stop_deceleration_rad_s2);
+    j.reference_q += arm_.tick_s * (j.reference_v + 0.5 * arm_.tick_s * a_d);
+    j.reference_v += arm_.tick_s * a_d;
+    q_d = j.reference_q = std::clamp(j.reference_q, j.motor_q - kLeash_rad, j.motor_q + kLeash_rad);
+    v_d = j.reference_v;
+  }
+  const double e = j.motor_q - q_d;
+  const double e_v = seen_v - v_d;
+  double load = d.torque_sensor ? j.sensed : expected_[i];
+  load = std::clamp(load, expected_[i] - d.carried_departure_nm, expected_[i] + d.carried_departure_nm);
+
+  const double beyond = (std::abs(seen_v) - d.still_velocity_rad_s) / d.still_velocity_rad_s;
+  const double seen = std::clamp(beyond, 0.0, 1.0);
+  const double r_d = sat(v_d / kReferenceStill_rad_s);
+  const double way = std::abs(r_d) * seen * sign(seen_v) + (1.0 - seen) * r_d;
+  const double x = d.friction.stribeck_decay_s2_rad2 * seen_v * seen_v;
+  const double Es = x < 30.0 ? std::exp(-x) * way : 0.0;
+  double torque = d.rotor_inertia_kg_m2 * a_d - d.velocity_gain_nm_s_rad * e_v - d.position_gain_nm_rad * e + load +
+                  d.friction_feedforward * (d.friction.viscous_nm_s_rad * seen_v + d.friction.coulomb_nm * (way - Es) +
+                                            d.friction.static_nm * Es);
+  const CompensatorDescription& c = d.compensator;
+  if (c.enabled) {
+    const double r = e_v + d.lambda_1_s * e;
+    const std::array<double, 4> y{seen_v, way - Es, Es,
+                                  -(d.friction.static_nm - d.friction.coulomb_nm) * seen_v * seen_v * Es};
+    if (c.position_width_rad_s > 0.0) torque -= c.position_gain_nm * sat(r / c.position_width_rad_s);
+    for (std::size_t k = 0; k < 4; ++k) {
+      const double zeta = y[k] * r;
+      if (!j.saturated && !j.catching_up) {
+        j.integral[k] = std::clamp(j.integral[k] - c.integral_gain[k] * arm_.tick_s * zeta, -c.integral_limit[k],
+                                   c.integral_limit[k]);
+      }
+      const double robust = c.robust_width[k] > 0.0 ? c.robust_gain[k] * sat(zeta / c.robust_width[k]) : 0.0;
+      torque += y[k] * (j.integral[k] - robust);
+    }
+  }
+  return torque;
+}
+
+/// One tick of every joint's loop.
+void Blow::control(double t) noexcept {
+  const Scalar s = reference(t);
+  const bool let_go = !resumed_ && t >= -in_.switch_lead_s;
+  for (int i = 0; i < n_; ++i) {
+    const JointDrive& d = arm_.drive[at(i)];
+    Joint& j = joint_[at(i)];
+    const double pole = observer_pole_;
+    const double ahead = j.seen_rest + j.seen_v - (j.motor_q - j.seen_q);
+    j.seen_q = j.motor_q;
+    j.seen_rest = pole * pole * ahead;
+    j.seen_v -= (1.0 - pole) * (1.0 - pole) * ahead;
+
+    const double seen_v = j.seen_v / arm_.tick_s;
+    const double speed =
+        std::clamp((std::abs(seen_v) - kTrendStill_rad_s) / (kTrendMoving_rad_s - kTrendStill_rad_s), 0.0, 1.0);
+    const double load = std::abs(j.sensed) - d.sensed_dead_band_nm;
+    const double certain = d.torque_sensor ? std::clamp(load / d.sensed_full_trend_nm, 0.0, 1.0) : 0.0;
+    const double trend = speed * sign(seen_v) - (1.0 - speed) * certain * sign(j.sensed);
+    if (let_go && is_passive(i) && !j.passive) {
+      j.passive = true;
+      j.trend = trend;
+      j.blend_from = j.command;
+      j.blend_to = d.compensation_nm * trend;
+      j.blend_left_s = d.blend_s;
+    }
+    double wanted = 0.0;
+    if (j.passive) {
+      if (j.blend_left_s > 0.5 * arm_.tick_s) {
+        j.blend_left_s -= arm_.tick_s;
+        wanted = j.blend_to + (j.blend_from - j.blend_to) * std::max(j.blend_left_s, 0.0) / d.blend_s;
+      } else {
+        const double most = kTrendRate_1_s * arm_.tick_s;
+        j.trend += std::clamp(trend - j.trend, -most, most);
+        wanted = d.compensation_nm * j.trend;
+      }
+    } else {
+      wanted = active_torque(i, s);
+      if (j.catching_up) {
+        const double most = d.resume_slew_nm_s * arm_.tick_s;
+        j.catching_up = !(std::abs(wanted - j.command) <= most);
+        wanted = j.command + std::clamp(wanted - j.command, -most, most);
+      }
+    }
+    const double limited = std::clamp(wanted, -d.torque_limit_nm[1], d.torque_limit_nm[0]);
+    j.saturated = limited != wanted;
+    j.command = limited;
+  }
+}
+
+void Blow::touch() noexcept {
+  const ContactLaw& law = in_.contact;
+  const double depth = head_height_ - (pose_gap_ + lever_.dot(q_ - pose_q_));
+  force_ = nail_v_ = 0.0;
+  if (!(depth > 0.0)) return;
+  const double speed = -lever_.dot(v_);
+  const double elastic = law.face_stiffness_n_m * depth;
+  force_ = std::max(0.0, elastic * (1.0 + law.face_damping_s_m * speed));
+  const double resistance = law.nail_resistance_n - law.nail_resistance_slope_n_m * head_height_;
+  if (force_ > resistance && -head_height_ < law.nail_room_m) {
+    // The nail yields: F = k d (1 + c (v - u)) with u = (F - R)/c_v.
+    const double share = elastic * law.face_damping_s_m / law.nail_damping_n_s_m;
+    force_ = (elastic * (1.0 + law.face_damping_s_m * speed) + share * resistance) / (1.0 + share);
+    nail_v_ = std::max(0.0, (force_ - resistance) / law.nail_damping_n_s_m);
+  }
+}
+
+/// Semi-implicit Euler: forces at the new positions of the last step, then speeds, then positions.
+void Blow::step() noexcept {
+  touch();
+  JointVector push(n_);
+  for (int i = 0; i < n_; ++i) {
+    const JointDrive& d = arm_.drive[at(i)];
+    Joint& j = joint_[at(i)];
+    j.carried = spring_torque(d, j.motor_q - q_[i]) + d.damping_nm_s_rad * (j.motor_v - v_[i]);
+    push[i] = j.carried - bias_[i] + lever_[i] * force_;
+    j.torque = j.command + (j.torque - j.command) * current_keep_[at(i)];
+    j.sensed = j.carried + (j.sensed - j.carried) * sensor_keep_[at(i)];
+
+    // Friction: bristles that bend up to the level of (5), then slide.
+    const FrictionDescription& f = d.friction;
+    double friction = f.viscous_nm_s_rad * j.motor_v;
+    if (f.static_nm > 0.0) {
+      const double x = f.stribeck_decay_s2_rad2 * j.motor_v * j.motor_v;
+      const double decay = x < 30.0 ? std::exp(-x) : 0.0;
+      const double level = f.coulomb_nm + (f.static_nm - f.coulomb_nm) * decay;
+      const double stiffness = f.static_nm / d.presliding_rad;
+      const double before = j.bristle;
+      j.bristle = (before + h_ * j.motor_v) / (1.0 + h_ * stiffness * std::abs(j.motor_v) / level);
+      const double damping = 1.4 * std::sqrt(stiffness * d.rotor_inertia_kg_m2) * decay;
+      friction += stiffness * j.bristle + damping * (j.bristle - before) / h_;
+    }
+    if (in_.joints[at(i)] == JointHold::held) continue;
+    j.motor_v += h_ * (j.torque - friction - j.carried) / d.rotor_inertia_kg_m2;
+    j.motor_q += h_ * j.motor_v;
+  }
+  accel_.noalias() = inverse_.lazyProduct(push);
+  v_ += h_ * accel_;
+  q_ += h_ * v_;
+  head_height_ = std::max(head_height_ - h_ * nail_v_, -in_.contact.nail_room_m);
+}
+
+void Blow::record(double t) noexcept {
+  if (!(force_ > 0.0)) return;
+  if (!touched_) {
+    touched_ = true;
+    began_s_ = t;
+    begin_v_ = v_ - h_ * accel_;
+    begin_accel_ = accel_ - force_ * inverse_.lazyProduct(lever_);
+    begin_height_ = head_height_;
+    for (int i = 0; i < n_; ++i) joint_[at(i)].at_start = joint_[at(i)].carried;
+    out_.speed_before_m_s = -lever_.dot(begin_v_);
+  }
+  ended_s_ = t + h_;
+  end_v_ = v_;
+  out_.impulse_n_s += h_ * force_;
+  out_.peak_force_n = std::max(out_.peak_force_n, force_);
+  out_.penetration_m = begin_height_ - head_height_;
+  out_.speed_after_m_s = -lever_.dot(v_);
+  for (int i = 0; i < n_; ++i) {
+    Joint& j = joint_[at(i)];
+    j.sum += h_ * (j.carried - j.at_start);
+    j.peak = std::max(j.peak, std::abs(j.carried));
+  }
+}
+
+void Blow::conclude() noexcept {
+  out_.feasible = std::isfinite(out_.impulse_n_s) && v_.allFinite();
+  out_.approaching = touched_;
+  out_.effective_mass_kg = 1.0 / std::max(lever_.dot(inverse_ * lever_), 1e-12);
+  if (!touched_ || !out_.feasible) return;
+  out_.contact_s = ended_s_ - began_s_;
+  out_.delta_qd = end_v_ - begin_v_;
+  for (int i = 0; i < n_; ++i) {
+    out_.axis_impulse_nm_s[i] = -joint_[at(i)].sum;
+    out_.carried_before_nm[i] = -joint_[at(i)].at_start;
+    out_.peak_torque_nm[i] = joint_[at(i)].peak;
+  }
+  // What the links' own motion and the blow ask of every joint; the axis component comes out as above but for the
+  // frozen pose, so the one that was integrated stands.
+  Vector6 external = Vector6::Zero();
+  external.head<3>() = out_.impulse_n_s * in_.normal;
+  const InternalImpulses internal =
+      internal_impulses(arm_.chain, arm_.chain.pose(in_.q), out_.delta_qd - begin_accel_ * out_.contact_s, external);
+  out_.wrench = internal.wrench;
+}
+
+Prediction Blow::run() noexcept {
+  out_.delta_qd = out_.axis_impulse_nm_s = out_.carried_before_nm = out_.peak_torque_nm = JointVector::Zero(n_);
+  bool any_passive = false;
+  for (int i = 0; i < n_; ++i) any_passive = any_passive || is_passive(i);
+  const double from = -(any_passive ? in_.switch_lead_s : 0.0) - kRunIn_s;
+  observer_pole_ = std::exp(-kObserver_1_s * arm_.tick_s);
+  start(from);
+  const int per_tick = static_cast<int>(std::lround(arm_.tick_s / h_));
+  const int per_pose = std::max(1, static_cast<int>(std::lround(arm_.knot_s / arm_.tick_s)));
+  const int ticks = static_cast<int>((kLongest_s - from) / arm_.tick_s);
+  for (int tick = 0; tick < ticks; ++tick) {
+    const double t = from + tick * arm_.tick_s;
+    if (tick % per_pose == 0) {
+      new_pose();
+      expect(t + arm_.knot_s);
+      const bool time_is_up = t >= -in_.switch_lead_s + in_.passive_s;
+      if (any_passive && !resumed_ && t > -in_.switch_lead_s && (time_is_up || sinking())) resume(t);
+    }
+    control(t);
+    for (int k = 0; k < per_tick; ++k) {
+      step();
+      record(t + k * h_);
+    }
+    if (touched_ && t - ended_s_ > kMergeGap_s) break;
+  }
+  conclude();
+  return out_;
+}
+
+}  // namespace
+
+Prediction resolve_blow(const StrikeArm& arm, const PredictInput& input) noexcept { return Blow(arm, input).run(); }
+
+}  // namespace mrr::sup
