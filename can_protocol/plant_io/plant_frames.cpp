@@ -14,6 +14,7 @@ using can::put;
 
 constexpr std::uint8_t kFlagLockstep = 1U << 0U;
 constexpr std::uint8_t kFlagEnding = 1U << 1U;
+constexpr std::uint8_t kFlagLeaving = 1U << 0U;
 constexpr std::uint8_t kTickBytes = 64;
 constexpr std::uint8_t kAnswerFrameBytes = 32;
 constexpr std::uint8_t kAnnouncementBytes = 8;
@@ -74,6 +75,7 @@ std::optional<Tick> decode_tick(const can::Frame& f) noexcept {
 
 can::Frame encode(const Answer& answer) noexcept {
   can::Frame f = frame(kAnswerId + answer.from, kAnswerFrameBytes);
+  f.data[1] = answer.leaving ? kFlagLeaving : std::uint8_t{0};
   put<std::uint32_t>(f.data.data() + 4, answer.number);
   std::copy(answer.payload.begin(), answer.payload.end(), f.data.begin() + kPayloadAt);
   return f;
@@ -81,9 +83,10 @@ can::Frame encode(const Answer& answer) noexcept {
 
 std::optional<Answer> decode_answer(const can::Frame& f) noexcept {
   const std::optional<Participant> from = sender(f, kAnswerId);
-  if (!from || !is(f, kAnswerFrameBytes)) return std::nullopt;
+  if (!from || !is(f, kAnswerFrameBytes) || (f.data[1] & ~kFlagLeaving) != 0) return std::nullopt;
   Answer a;
   a.from = *from;
+  a.leaving = (f.data[1] & kFlagLeaving) != 0;
   a.number = get<std::uint32_t>(f.data.data() + 4);
   std::copy_n(f.data.begin() + kPayloadAt, kAnswerBytes, a.payload.begin());
   return a;

@@ -53,6 +53,7 @@ using AnswerPayload = std::array<std::uint8_t, kAnswerBytes>;
 struct Answer {
   Participant from = 0;
   std::uint32_t number = 0;  ///< of the tick it answers
+  bool leaving = false;      ///< the last one: do not ask again
   AnswerPayload payload{};
 
   friend bool operator==(const Answer&, const Answer&) = default;

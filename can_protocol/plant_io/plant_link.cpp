@@ -37,6 +37,20 @@ std::span<const can::ReceivedFrame> TickInbox::take(Time limit, Time at) noexcep
   return {taken_.data(), taken_.size()};
 }
 
+std::span<const can::ReceivedFrame> TickInbox::take_as_received(Time limit) noexcept {
+  taken_.clear();
+  for (; !waiting_.empty() && waiting_.front().at <= limit; waiting_.pop()) (void)taken_.push_back(waiting_.front());
+  return {taken_.data(), taken_.size()};
+}
+
+void TickInbox::fill(can::CanSocket& robot, Time limit) noexcept {
+  while (!reaches_beyond(limit) && kCapacity - waiting_.size() >= can::CanSocket::kBatch) {
+    const std::span<const can::ReceivedFrame> frames = robot.receive();
+    for (const can::ReceivedFrame& f : frames) (void)waiting_.push(f);
+    if (frames.size() < can::CanSocket::kBatch) break;
+  }
+}
+
 PlantLink::PlantLink(const std::string& interface, Participant self, std::uint32_t configuration_hash)
     : self_(self), configuration_hash_(configuration_hash), socket_(open(interface, self)) {}
 
@@ -106,16 +120,12 @@ std::optional<OwnTick> PlantLink::wait(Duration timeout) noexcept {
 }
 
 std::span<const can::ReceivedFrame> PlantLink::robot_frames(can::CanSocket& robot, const OwnTick& tick) noexcept {
-  while (!inbox_.reaches_beyond(tick.arrived) && TickInbox::kCapacity - inbox_.size() >= can::CanSocket::kBatch) {
-    const std::span<const can::ReceivedFrame> frames = robot.receive();
-    for (const can::ReceivedFrame& f : frames) (void)inbox_.push(f);
-    if (frames.size() < can::CanSocket::kBatch) break;
-  }
+  inbox_.fill(robot, tick.arrived);
   return inbox_.take(tick.arrived, tick.now - tick.since_last);
 }
 
-void PlantLink::answer(const OwnTick& tick, const AnswerPayload& payload) noexcept {
-  (void)socket_.send(encode(Answer{self_, tick.number, payload}));
+void PlantLink::answer(const OwnTick& tick, const AnswerPayload& payload, bool leaving) noexcept {
+  (void)socket_.send(encode(Answer{self_, tick.number, leaving, payload}));
 }
 
 void PlantLink::forget() noexcept { joined_ = false; }

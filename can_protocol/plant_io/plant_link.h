@@ -31,6 +31,11 @@ class TickInbox {
   /// What arrived up to `limit`, in the order in which a wire would have arbitrated it (by identifier, else as it
   /// came), all stamped `at`. Valid until the next call.
   [[nodiscard]] std::span<const can::ReceivedFrame> take(Time limit, Time at) noexcept;
+  /// The same in order of arrival, with their own times of arrival: for free-running.
+  [[nodiscard]] std::span<const can::ReceivedFrame> take_as_received(Time limit) noexcept;
+  /// Reads `robot` until it is empty, or a frame beyond `limit` is there, or there is no room (the rest waits in the
+  /// kernel).
+  void fill(can::CanSocket& robot, Time limit) noexcept;
 
  private:
   RingBuffer<can::ReceivedFrame, kCapacity> waiting_;
@@ -70,8 +75,12 @@ class PlantLink {
   /// Valid until the next call.
   [[nodiscard]] std::span<const can::ReceivedFrame> robot_frames(can::CanSocket& robot, const OwnTick& tick) noexcept;
 
-  /// To be called after the frames of the tick were sent on the robot's bus.
-  void answer(const OwnTick& tick, const AnswerPayload& payload) noexcept;
+  /// To be called after the frames of the tick were sent on the robot's bus. `leaving`: the plant shall go on without
+  /// this participant.
+  void answer(const OwnTick& tick, const AnswerPayload& payload, bool leaving = false) noexcept;
+
+  /// The own clock went on without the plant and is now here: later ticks come after it.
+  void advance_clock(Time own_now) noexcept { own_now_ = std::max(own_now_, own_now); }
 
   /// True from the first tick that asked this participant until wait() times out, the plant drops it, or forget().
   [[nodiscard]] bool joined() const noexcept { return joined_; }

@@ -14,7 +14,6 @@
 #include <cstring>
 #include <ctime>
 #include <utility>
-#include <vector>
 
 #include "can_protocol/socketcan/linux_frame.h"
 
@@ -98,6 +97,18 @@ void set(int fd, int level, int option, const void* value, std::size_t size, con
     throw CanError(fmt::format("the CAN socket refuses {}: {}.", what, std::strerror(errno)));
 }
 
+bool apply_filters(int fd, std::span<const CanFilter> filters) noexcept {
+  std::array<can_filter, CanSocket::kMaxFilters> raw{};
+  if (filters.size() > raw.size()) {
+    errno = EINVAL;
+    return false;
+  }
+  std::size_t n = 0;
+  for (const CanFilter& f : filters) raw[n++] = {f.id, (f.mask & CAN_SFF_MASK) | CAN_EFF_FLAG};
+  if (n == 0) raw[n++] = {0, 0};
+  return ::setsockopt(fd, SOL_CAN_RAW, CAN_RAW_FILTER, raw.data(), static_cast<socklen_t>(n * sizeof(can_filter))) == 0;
+}
+
 }  // namespace
 
 Time monotonic_now() noexcept { return read_clock(CLOCK_MONOTONIC); }
@@ -151,11 +162,9 @@ CanSocket CanSocket::open(const std::string& interface, const CanSocketOptions& 
   const int index = interface_index(fd, interface, options.fd);
   const int on = 1;
   if (options.fd) set(fd, SOL_CAN_RAW, CAN_RAW_FD_FRAMES, &on, sizeof on, "CAN FD frames");
-  if (!options.filters.empty()) {
-    std::vector<can_filter> filters;
-    for (const CanFilter& f : options.filters) filters.push_back({f.id, (f.mask & CAN_SFF_MASK) | CAN_EFF_FLAG});
-    set(fd, SOL_CAN_RAW, CAN_RAW_FILTER, filters.data(), filters.size() * sizeof(can_filter), "its filters");
-  }
+  if (!options.filters.empty() && !apply_filters(fd, options.filters))
+    throw CanError(
+        fmt::format("the CAN socket refuses its {} filters: {}.", options.filters.size(), std::strerror(errno)));
   const can_err_mask_t errors =
       CAN_ERR_TX_TIMEOUT | CAN_ERR_CRTL | CAN_ERR_ACK | CAN_ERR_BUSOFF | CAN_ERR_BUSERROR | CAN_ERR_RESTARTED;
   set(fd, SOL_CAN_RAW, CAN_RAW_ERR_FILTER, &errors, sizeof errors, "error frames");
@@ -282,6 +291,10 @@ std::size_t CanSocket::send(std::span<const Frame> frames) noexcept {
   s.statistics.sent += static_cast<std::int64_t>(taken);
   if (taken > 0) s.link_down = false;
   return taken;
+}
+
+bool CanSocket::set_filters(std::span<const CanFilter> filters) noexcept {
+  return apply_filters(impl_->descriptor.get(), filters);
 }
 
 void CanSocket::discard_received() noexcept {

@@ -74,6 +74,10 @@ class CanSocket {
   std::size_t send(std::span<const Frame> frames) noexcept;
   std::size_t send(const Frame& frame) noexcept { return send(std::span(&frame, 1)); }
 
+  /// Replaces the kernel's filters. False: refused, the old ones stay. At most kMaxFilters; none: every frame passes.
+  [[nodiscard]] bool set_filters(std::span<const CanFilter> filters) noexcept;
+  static constexpr std::size_t kMaxFilters = 64;
+
   /// Drops everything that waits to be received.
   void discard_received() noexcept;
   void measure_clock_offset() noexcept;
