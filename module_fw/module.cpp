@@ -112,7 +112,10 @@ Module::Module(const ModuleConfig& config) noexcept
     : config_(usable_or_harmless(config)),
       dt_s_(config_.tick.seconds_f()),
       tick_us_(static_cast<std::uint32_t>(config_.tick / microseconds(1))),
-      node_((fill_objects(), od_), can::NodeConfig{.node_id = config_.node_id, .bit_rate = config_.bit_rate}, *this),
+      node_(
+          (fill_objects(), od_),
+          can::NodeConfig{.node_id = config_.node_id, .bit_rate = config_.bit_rate, .test_objects = config.test_faults},
+          *this),
       pll_(config_.knot_period),
       selection_(config_.selection_bit),
       sensing_(config_.sensing, config_.drive, dt_s_),
@@ -249,7 +252,15 @@ can::Abort Module::may_write(can::ObjectId id, const can::Value&) noexcept {
   return can::Abort::none;
 }
 
-void Module::written(can::ObjectId, can::WriteSource source, Time) noexcept {
+void Module::written(can::ObjectId id, can::WriteSource source, Time) noexcept {
+#ifndef MRR_NO_TEST_OBJECTS
+  if (id == can::ObjectId::test_fault) {
+    test_fault_ = static_cast<Emergency>(od_.test_fault);
+    return;
+  }
+#else
+  static_cast<void>(id);
+#endif
   if (source == can::WriteSource::sdo) parameters_changed_ = true;
 }
 
@@ -407,6 +418,7 @@ void Module::watch(Time now) noexcept {
     cut_ = true;
     found(Emergency::internal);
   }
+  if (test_fault_ != Emergency::none) found(test_fault_);
   if (sensing_.input(kInputPowerStageFault)) {
     cut_ = true;
     found(Emergency::power_stage);
@@ -418,7 +430,9 @@ void Module::watch(Time now) noexcept {
     blind_ = true;
     found(Emergency::encoder);
   }
-  if (c.sensing.torque_sensor && !sensing_.joint_torque_nm().valid) found(Emergency::torque_sensor);
+  if (c.sensing.torque_sensor && !sensing_.joint_torque_nm().valid && !without_torque_sensor(now)) {
+    found(Emergency::torque_sensor);
+  }
   if (!sensing_.current_a().valid) found(Emergency::current_sensor);
   const Reading& winding = sensing_.winding_c();
   const Reading& stage = sensing_.drive_c();
@@ -479,6 +493,15 @@ void Module::watch(Time now) noexcept {
   }
 }
 
+// A joint that is led goes on without its torque sensor: active by the supervisor's model torque, passive without
+// compensation. It is not enabled anew without it.
+bool Module::without_torque_sensor(Time now) const noexcept {
+  return machine_.state() == DriveState::operation_enabled && brake_.motion_allowed() &&
+         (passive() || model_torque_fresh(now));
+}
+
+bool Module::model_torque_fresh(Time now) const noexcept { return now - model_torque_at_ <= pll_.period() * 3; }
+
 bool Module::closing() const noexcept {
   const DriveState s = machine_.state();
   return brake_.phase() != BrakeSequence::Phase::off && s != DriveState::operation_enabled &&
@@ -505,6 +528,7 @@ void Module::decide_state(Time now) noexcept {
         if (node_.is_present(e)) node_.clear(e, now);
       }
       node_.clear(Emergency::knots_lost, now);
+      if (status_.fault != Emergency::none) node_.clear(status_.fault, now);  // a provoked one may be any
       status_.fault = Emergency::none;
       od_.first_fault_cause = 0;
       od_.error_code = 0;
@@ -513,6 +537,7 @@ void Module::decide_state(Time now) noexcept {
   // A fault that can pass by itself is forgotten once the joint is safe; the latch stays in the state machine.
   if (after == DriveState::fault && machine_.fault_reset_requested() == false) {
     torque_not_finite_ = false;
+    test_fault_ = Emergency::none;
     brake_trouble_ = BrakeSequence::Trouble::none;
     if (parameters_changed_) apply_parameters();
   }
@@ -532,6 +557,8 @@ void Module::enable() noexcept {
   has_last_target_ = false;
   sync_seen_ = false;
   saturated_ = false;
+  load_by_model_ = load_catches_up_ = false;
+  load_torque_nm_ = sensing_.joint_torque_nm().value;
   over_speed_ticks_ = 0;
   following_error_ticks_ = 0;
   last_requested_mode_ = od_.modes_of_operation;
@@ -746,18 +773,37 @@ void Module::watch_motion(Time now) noexcept {
 
 // ---------------------------------------------------------------------------------------------- control
 
-float Module::control_torque(Time now) noexcept {
+// tau_s^: what the joint carries.
+void Module::estimate_load(Time now) noexcept {
   const float model_nm = static_cast<float>(od_.torque_offset_permille) * 1e-3F * config_.drive.rated_torque_nm;
-  if (config_.sensing.torque_sensor) {
-    // While the sensor is silent for a moment its last word stands; longer is a fault.
-    if (sensing_.joint_torque_nm().valid) load_torque_nm_ = sensing_.joint_torque_nm().value;
-    const float departure = config_.control.carried_departure_nm;
-    if (now - model_torque_at_ <= pll_.period() * 3) {
-      load_torque_nm_ = limit(load_torque_nm_, model_nm - departure, model_nm + departure);
-    }
-  } else {
+  if (!config_.sensing.torque_sensor) {
     load_torque_nm_ = model_nm;
+    return;
   }
+  const bool fresh = model_torque_fresh(now);
+  const bool sensed = sensing_.joint_torque_nm().valid;
+  float load_nm = load_torque_nm_;  // known to neither: the last word stands
+  if (sensed) {
+    load_nm = sensing_.joint_torque_nm().value;
+    const float departure = config_.control.carried_departure_nm;
+    if (fresh) load_nm = limit(load_nm, model_nm - departure, model_nm + departure);
+  } else if (fresh) {
+    load_nm = model_nm;
+  }
+  // From the one to the other without a step.
+  if (sensed == load_by_model_) load_catches_up_ = true;
+  load_by_model_ = !sensed;
+  if (load_catches_up_) {
+    const float missing = load_nm - load_torque_nm_;
+    const float step = limit(missing, config_.passive.resume_torque_slew_nm_s * dt_s_);
+    load_catches_up_ = step != missing;
+    load_nm = load_torque_nm_ + step;
+  }
+  load_torque_nm_ = load_nm;
+}
+
+float Module::control_torque(Time now) noexcept {
+  estimate_load(now);
   if (selector_.law() == Law::passive) {
     if (!selector_.blending()) passive_.update(evidence());
     const float tau = selector_.step(0.0F, passive_.torque_nm());
@@ -856,6 +902,7 @@ can::LimitCode Module::active_limit() const noexcept {
   if (!status_.homed && mode_ != Mode::homing) return LimitCode::not_homed;
   if (hold_reason_ != LimitCode::none) return hold_reason_;
   if (passive_ended_by_ != LimitCode::none) return passive_ended_by_;
+  if (load_by_model_ && config_.sensing.torque_sensor) return LimitCode::model_torque;
   switch (drive_limit_) {
     case DriveLimit::none:
       break;

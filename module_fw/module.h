@@ -71,6 +71,7 @@ class Module final : private can::NodeApplication {
   void carry_out_selection(Time now) noexcept;
   void run_homing(Time now) noexcept;
   void watch_motion(Time now) noexcept;
+  void estimate_load(Time now) noexcept;
   [[nodiscard]] float control_torque(Time now) noexcept;
   void sequence_brake(Time now) noexcept;
   void publish() noexcept;
@@ -85,6 +86,8 @@ class Module final : private can::NodeApplication {
   [[nodiscard]] PassiveLaw::Evidence evidence() const noexcept;
   [[nodiscard]] Authority arbitrate() const noexcept;
   [[nodiscard]] bool closing() const noexcept;
+  [[nodiscard]] bool without_torque_sensor(Time now) const noexcept;
+  [[nodiscard]] bool model_torque_fresh(Time now) const noexcept;
   [[nodiscard]] bool may_change_law() const noexcept;
   [[nodiscard]] bool passive() const noexcept { return selector_.law() == Law::passive; }
   [[nodiscard]] bool torque_mode() const noexcept {
@@ -142,6 +145,8 @@ class Module final : private can::NodeApplication {
 
   // Control
   float load_torque_nm_ = 0.0F;
+  bool load_by_model_ = false;    ///< the torque sensor is lost
+  bool load_catches_up_ = false;  ///< on the way from one source to the other
   Time model_torque_at_{-1'000'000'000'000};  ///< when 60B2h last came with a knot
   bool saturated_ = false;
   float max_torque_nm_ = 0.0F;
@@ -158,6 +163,7 @@ class Module final : private can::NodeApplication {
   std::int32_t following_error_ticks_ = 0;
   BrakeSequence::Trouble brake_trouble_ = BrakeSequence::Trouble::none;
   bool torque_not_finite_ = false;
+  can::Emergency test_fault_ = can::Emergency::none;  ///< written to 2F00h
 };
 
 }  // namespace mrr::fw

@@ -3,6 +3,7 @@
 
 #include <functional>
 #include <optional>
+#include <utility>
 #include <vector>
 
 #include "can_protocol/client.h"
@@ -14,23 +15,24 @@
 
 namespace mrr::fw::test {
 
-class ModuleBench {
+/// `Body`: the joint the module sits on; sample() gives its raw sensors, step(dt_s, command) advances it.
+template <typename Body>
+class BenchOf {
  public:
-  explicit ModuleBench(const JointParameters& parameters = hammer_joint(), std::optional<ModuleConfig> c = std::nullopt,
-                       std::uint64_t seed = 1)
-      : config(c ? *c : module_config(parameters)), joint(parameters, config, seed), module(config) {
+  BenchOf(const ModuleConfig& c, Body body) : config(c), joint(std::move(body)), module(config) {
     inbox_.reserve(256);
     sent.reserve(65536);
   }
 
   ModuleConfig config;
-  Joint joint;
+  Body joint;
   Module module;
   Time now;
   ActuatorCommand actuator;
   std::vector<can::Frame> sent;
-  std::function<void(RawSensors&)> spoil;             ///< changes the readings
-  std::function<MotionState(double t_s)> trajectory;  ///< streamed as knots while set
+  std::function<void(RawSensors&)> spoil;                     ///< changes the readings
+  std::function<MotionState(double t_s)> trajectory;          ///< streamed as knots while set
+  std::function<double(const MotionState&)> model_torque_nm;  ///< goes with the knots (60B2h); none: 0
   std::function<void(const ModuleStatus&)> each_tick;
   bool sync = true;
   int sync_every_ticks = 4;
@@ -89,8 +91,10 @@ class ModuleBench {
     const auto id = config.node_id;
     receive(can::pack_rpdo2(id, {*can::urad_from_rad(static_cast<double>(s.position_rad)),
                                  *can::urad_s_from_rad_s(static_cast<double>(s.velocity_rad_s))}));
-    receive(
-        can::pack_rpdo3(id, {*can::mrad_s2_from_rad_s2(static_cast<double>(s.acceleration_rad_s2)), 0, ++sequence}));
+    const double torque_nm = model_torque_nm ? model_torque_nm(s) : 0.0;
+    const auto rated_mnm = static_cast<std::uint32_t>(std::lround(config.drive.rated_torque_nm * 1e3F));
+    receive(can::pack_rpdo3(id, {*can::mrad_s2_from_rad_s2(static_cast<double>(s.acceleration_rad_s2)),
+                                 *can::permille_from_nm(torque_nm, rated_mnm), ++sequence}));
   }
   void command(std::uint16_t word) {
     controlword = word;
@@ -142,6 +146,18 @@ class ModuleBench {
  private:
   std::vector<can::ReceivedFrame> inbox_;
   std::int64_t ticks_ = 0;
+};
+
+/// On the joint simulation of these tests.
+class ModuleBench : public BenchOf<Joint> {
+ public:
+  explicit ModuleBench(const JointParameters& parameters = hammer_joint(), std::optional<ModuleConfig> c = std::nullopt,
+                       std::uint64_t seed = 1)
+      : ModuleBench(parameters, c ? *c : module_config(parameters), seed, 0) {}
+
+ private:
+  ModuleBench(const JointParameters& parameters, const ModuleConfig& c, std::uint64_t seed, int)
+      : BenchOf<Joint>(c, Joint(parameters, c, seed)) {}
 };
 
 }  // namespace mrr::fw::test

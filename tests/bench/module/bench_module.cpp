@@ -1,0 +1,114 @@
+// How good the module's control is on the emulated robot, as tables: tracking, standing, robustness.
+#include <cstdio>
+#include <string>
+#include <vector>
+
+#include "tests/bench/module/control_quality.h"
+
+namespace {
+
+using namespace mrr::fw::test;  // NOLINT: a program of its own
+
+struct JointGoal {
+  const char* name;
+  int joint;
+  double goal_mrad;
+};
+constexpr JointGoal kJoints[] = {{"base joint", 0, 1.3}, {"hammer joint", 2, 0.5}};
+
+const char* verdict(bool ok) { return ok ? "" : "  MISSED"; }
+
+void print_tracking() {
+  std::printf("\nTracking, rms error of the motor's gear output in mrad (largest in brackets)\n");
+  std::printf("  %-14s %-11s %18s %18s %18s %6s\n", "", "path", "no feedforward", "20 % low", "and compensator",
+              "goal");
+  for (const JointGoal& j : kJoints) {
+    for (const auto& [path, name] :
+         {std::pair{Path::sine, "sine"}, {Path::slow_sine, "slow sine"}, {Path::swing, "swing"}}) {
+      std::string cells;
+      bool ok = false;
+      for (const auto& [feedforward, compensator] : {std::pair{0.0, false}, {0.8, false}, {0.8, true}}) {
+        QualityCase c;
+        c.joint = j.joint;
+        c.path = path;
+        c.feedforward = feedforward;
+        c.compensator = compensator;
+        const Tracking t = track(c, path == Path::slow_sine ? 20.0 : 8.0);
+        char cell[64];
+        if (t.completed) {
+          std::snprintf(cell, sizeof cell, " %9.2f (%6.2f)", t.rms_mrad, t.max_mrad);
+        } else {
+          std::snprintf(cell, sizeof cell, " %18s", t.note.c_str());
+        }
+        cells += cell;
+        ok = t.completed && t.rms_mrad <= j.goal_mrad;
+      }
+      std::printf("  %-14s %-11s%s %6.1f%s\n", j.name, name, cells.c_str(), j.goal_mrad, verdict(ok));
+    }
+  }
+}
+
+void print_robustness() {
+  struct Variation {
+    const char* name;
+    void (*apply)(QualityCase&);
+  };
+  const std::vector<Variation> variations{
+      {"nominal", [](QualityCase&) {}},
+      {"friction -50 %", [](QualityCase& c) { c.friction = 0.5; }},
+      {"friction +50 %", [](QualityCase& c) { c.friction = 1.5; }},
+      {"inertia -20 %", [](QualityCase& c) { c.link_inertia = c.rotor_inertia = 0.8; }},
+      {"inertia +20 %", [](QualityCase& c) { c.link_inertia = c.rotor_inertia = 1.2; }},
+      {"torque sensor 50 Hz", [](QualityCase& c) { c.torque_bandwidth_hz = 50; }},
+      {"torque sensor 100 Hz", [](QualityCase& c) { c.torque_bandwidth_hz = 100; }},
+      {"loop 500 Hz", [](QualityCase& c) { c.loop_hz = 500; }},
+      {"loop 2 kHz", [](QualityCase& c) { c.loop_hz = 2000; }},
+      {"loop 4 kHz", [](QualityCase& c) { c.loop_hz = 4000; }},
+      {"sensor lost at 2 s", [](QualityCase& c) { c.sensor_lost_at_s = 2.0; }},
+      {"lost, model 10 % low", [](QualityCase& c) { c.sensor_lost_at_s = 2.0, c.model_error = -0.1; }},
+  };
+  std::printf(
+      "\nRobustness: feedforward as identified and compensator; what is true differs from what the module knows\n");
+  std::printf("  %-22s %-14s %9s %9s %12s %12s %14s\n", "", "", "rms mrad", "max mrad", "rattle Nm", "hunting mrad",
+              "torque p-p Nm");
+  for (const Variation& v : variations) {
+    for (const JointGoal& j : kJoints) {
+      QualityCase c;
+      c.joint = j.joint;
+      c.feedforward = 1.0;
+      v.apply(c);
+      const Tracking t = track(c);
+      if (!t.completed) {
+        std::printf("  %-22s %-14s %s\n", v.name, j.name, t.note.c_str());
+        continue;
+      }
+      QualityCase standing_case = c;
+      standing_case.sensor_lost_at_s = -1.0;
+      const Standing s = stand(standing_case, 11.0);
+      std::printf("  %-22s %-14s %9.2f %9.2f %12.2f %12.3f %14.2f%s\n", v.name, j.name, t.rms_mrad, t.max_mrad,
+                  t.torque_rms_step_nm, s.peak_to_peak_mrad, s.last_torque_peak_to_peak_nm,
+                  verdict(s.completed && s.peak_to_peak_mrad <= 1.0));
+    }
+  }
+}
+
+void print_standing() {
+  std::printf("\nStanding still for 60 s after a move\n");
+  std::printf("  %-14s %16s %22s %20s\n", "", "hunting p-p mrad", "last 10 s p-p mrad", "torque p-p Nm");
+  for (const JointGoal& j : kJoints) {
+    QualityCase c;
+    c.joint = j.joint;
+    const Standing s = stand(c, 60.0);
+    std::printf("  %-14s %16.3f %22.3f %20.2f%s\n", j.name, s.peak_to_peak_mrad, s.last_peak_to_peak_mrad,
+                s.last_torque_peak_to_peak_nm, verdict(s.completed && s.peak_to_peak_mrad <= 1.0));
+  }
+}
+
+}  // namespace
+
+int main() {
+  std::setvbuf(stdout, nullptr, _IOLBF, 0);
+  print_tracking();
+  print_standing();
+  print_robustness();
+}

@@ -1,0 +1,49 @@
+// Test support: how well a module's joint tracks, stands and yields on the emulated robot. The benchmark prints it as
+// tables, tests hold slices of it. May touch everything that tests may.
+#pragma once
+
+#include <string>
+
+#include "tests/bench/module/plant_joint.h"
+
+namespace mrr::fw::test {
+
+/// What a joint is led along; theory section 2 gives the errors for `sine`.
+enum class Path { sine, slow_sine, swing };
+
+struct QualityCase {
+  int joint = 0;  ///< 0: base joint, 2: hammer joint
+  Path path = Path::sine;
+  double feedforward = 0.8;
+  bool compensator = true;
+  double friction = 1.0;      ///< true friction against the identified one
+  double link_inertia = 1.0;  ///< true masses and inertias of the links
+  double rotor_inertia = 1.0;
+  double torque_bandwidth_hz = 200.0;
+  double loop_hz = 1000.0;
+  double sensor_lost_at_s = -1.0;  ///< from then on no reading of the torque sensor is fresh
+  double model_error = 0.0;        ///< share by which the supervisor's model torque is wrong
+  std::uint64_t seed = 0;
+};
+
+struct Tracking {
+  bool completed = false;  ///< enabled, followed to the end, no fault
+  std::string note;        ///< why not
+  double rms_mrad = 0.0;   ///< gear output of the motor against the set points, after the first second
+  double max_mrad = 0.0;
+  double torque_rms_step_nm = 0.0;              ///< of the commanded torque from tick to tick: how much it rattles
+  can::LimitCode limit = can::LimitCode::none;  ///< at the end
+};
+
+struct Standing {
+  bool completed = false;
+  double peak_to_peak_mrad = 0.0;       ///< of the motor, from one second after the stop
+  double last_peak_to_peak_mrad = 0.0;  ///< over the last ten seconds: a limit cycle would show
+  double last_torque_peak_to_peak_nm = 0.0;
+};
+
+Tracking track(const QualityCase& c, double seconds = 8.0);
+/// Half a period of the sine, then a stop and a hold of `hold_s`.
+Standing stand(const QualityCase& c, double hold_s);
+
+}  // namespace mrr::fw::test
