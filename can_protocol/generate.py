@@ -444,7 +444,7 @@ def eds(schema):
            "OrderCode=0", *[f"BaudRate_{r}={int(r in d['bit_rates_kbit'])}" for r in rates],
            "SimpleBootUpMaster=0", "SimpleBootUpSlave=1", "Granularity=8", "DynamicChannelsSupported=0",
            "CompactPDO=0", "GroupMessaging=0", f"NrOfRXPDO={len(schema.rpdos)}", f"NrOfTXPDO={len(schema.tpdos)}",
-           "LSS_Supported=0", "", "[DummyUsage]", "Dummy0001=0",
+           "LSS_Supported=1", "", "[DummyUsage]", "Dummy0001=0",
            *[f"Dummy{n:04X}=1" for n in range(2, 8)], "", "[Comments]", "Lines=0", ""]
     objects = [o for o in schema.objects if not o.entries[0].test_only]
     mandatory = [o for o in objects if o.index in (0x1000, 0x1001, 0x1018)]

@@ -59,7 +59,7 @@ constexpr Duration watched_timeout(std::uint32_t v) noexcept { return millisecon
 }  // namespace
 
 Node::Node(ObjectDictionary& od, const NodeConfig& config, NodeApplication& application) noexcept
-    : od_(od), config_(config), application_(application) {
+    : od_(od), config_(config), application_(application), lss_(config.node_id, config.bit_rate) {
   for (const Entry& e : kEntries) {
     if (!(e.flags & kAddsNodeId)) continue;
     Value v = read_value(od_, e);
@@ -68,6 +68,22 @@ Node::Node(ObjectDictionary& od, const NodeConfig& config, NodeApplication& appl
   }
   factory_ = od_;
   power_on_ = od_;
+  lss_.reset(config_.node_id);
+}
+
+void Node::change_node_id(std::uint8_t to) noexcept {
+  static constexpr ObjectDictionary kDefaults{};
+  for (const Entry& e : kEntries) {
+    if (!(e.flags & kAddsNodeId)) continue;
+    const auto base = static_cast<std::uint32_t>(read_value(kDefaults, e).as_unsigned());
+    for (ObjectDictionary* od : {&od_, &factory_, &power_on_}) {
+      Value v = read_value(*od, e);
+      if (v.as_unsigned() != base + config_.node_id) continue;
+      put<std::uint32_t>(v.bytes.data(), base + to);
+      write_value(*od, e, v);
+    }
+  }
+  config_.node_id = to;
 }
 
 // ---- frames in ----
@@ -78,6 +94,8 @@ void Node::handle(const ReceivedFrame& received, TransmitQueue& tx) noexcept {
   const Time now = received.at;
   if (f.extended || f.remote || f.fd || f.length > 8 || f.id > kElevenBit) return reject();
 
+  if (f.id == kLssRequestCobId) return handle_lss(f, now, tx);
+  if (f.id == kLssAnswerCobId || is_unconfigured()) return;
   const bool communicates = state_ == NmtState::pre_operational || state_ == NmtState::operational;
   if (f.id == kNmtCobId) return handle_nmt(f, now, tx);
   if (f.id == (od_.sync_cob_id & kElevenBit)) {
@@ -92,6 +110,18 @@ void Node::handle(const ReceivedFrame& received, TransmitQueue& tx) noexcept {
   for (std::size_t i = 0; i < kRpdoCount; ++i) {
     const std::uint32_t cob_id = od_.rpdo_communication[i].cob_id;
     if (is_valid(cob_id) && f.id == (cob_id & kElevenBit)) handle_rpdo(i, f, now);
+  }
+}
+
+void Node::handle_lss(const Frame& f, Time now, TransmitQueue& tx) noexcept {
+  if (f.length != 8) return reject();
+  if (state_ == NmtState::operational) return;  // nobody is renamed while it moves
+  const LssIdentity identity{od_.identity_vendor_id, od_.identity_product_code, od_.identity_revision,
+                             od_.identity_serial_number};
+  if (const auto answer = lss_.handle(f, identity)) send(*answer, tx);
+  // A node that had no id comes up with its first one as soon as it is let go.
+  if (is_unconfigured() && lss_.node_id() != kUnconfiguredNodeId && lss_.mode() == LssSlave::Mode::waiting) {
+    reset(ResetKind::communication, now, tx);
   }
 }
 
@@ -626,6 +656,7 @@ void Node::request_tpdo(std::uint8_t number) noexcept {
 // ---- states and timers ----
 
 void Node::boot_up(Time now, TransmitQueue& tx) noexcept {
+  if (is_unconfigured()) return;  // says nothing, and stays in initialising
   send(heartbeat_frame(config_.node_id, NmtState::initialising), tx);
   next_heartbeat_ = now + milliseconds(od_.producer_heartbeat_ms);
   enter(NmtState::pre_operational, now);
@@ -666,6 +697,8 @@ void Node::reset(ResetKind kind, Time now, TransmitQueue& tx) noexcept {
   }
   emergencies_.clear();
   update_error_register();
+  if (lss_.node_id() != config_.node_id) change_node_id(lss_.node_id());
+  lss_.reset(config_.node_id);
   application_.reset(kind, now);
   boot_up(now, tx);
 }
@@ -682,6 +715,7 @@ void Node::tick(Time now, TransmitQueue& tx) noexcept {
     power_on_ = od_;
     boot_up(now, tx);
   }
+  if (is_unconfigured()) return;
   if (sdo_.transfer != Transfer::none && now - sdo_.last > config_.sdo_timeout) {
     sdo_abort(sdo_.entry->index, sdo_.entry->sub, Abort::timeout, tx);
   }

@@ -5,6 +5,7 @@
 #include <optional>
 
 #include "can_protocol/frame.h"
+#include "can_protocol/lss.h"
 #include "can_protocol/messages.h"
 #include "can_protocol/object_access.h"
 #include "can_protocol/selection.h"
@@ -15,7 +16,7 @@ enum class WriteSource : std::uint8_t { sdo, rpdo };
 enum class ResetKind : std::uint8_t { communication, node };
 
 struct NodeConfig {
-  std::uint8_t node_id = 2;                   ///< 1-127
+  std::uint8_t node_id = 2;                   ///< 1-127; 255: none yet, one is given by LSS
   std::uint32_t bit_rate = 1'000'000;         ///< as the shell opened the bus; informative
   bool test_objects = false;                  ///< objects marked test_only exist (--test-faults)
   Duration sdo_timeout = milliseconds(1000);  ///< an abandoned transfer is aborted after this
@@ -78,6 +79,7 @@ class Node {
   void request_tpdo(std::uint8_t number) noexcept;
 
   [[nodiscard]] NmtState state() const noexcept { return state_; }
+  /// `node_id` is the one in force: LSS may have changed it.
   [[nodiscard]] const NodeConfig& config() const noexcept { return config_; }
 
  private:
@@ -139,6 +141,10 @@ class Node {
   void reset(ResetKind kind, Time now, TransmitQueue& tx) noexcept;
   void error_behaviour(Time now) noexcept;
 
+  /// COB-IDs that contain the old id contain the new one afterwards; those that a client chose stay.
+  void change_node_id(std::uint8_t to) noexcept;
+  [[nodiscard]] bool is_unconfigured() const noexcept { return config_.node_id == kUnconfiguredNodeId; }
+  void handle_lss(const Frame& f, Time now, TransmitQueue& tx) noexcept;
   void handle_nmt(const Frame& f, Time now, TransmitQueue& tx) noexcept;
   void handle_sync(const Frame& f, Time now, TransmitQueue& tx) noexcept;
   void handle_heartbeat(const Frame& f, Time now) noexcept;
@@ -192,6 +198,7 @@ class Node {
   bool has_sent_emergency_ = false;
   Time emergency_sent_{};
   Sdo sdo_;
+  LssSlave lss_;
 };
 
 }  // namespace mrr::can
