@@ -30,6 +30,11 @@ constexpr double kLeastArm_m = 0.05;
 constexpr int kCounterMargin = 10;
 /// A joint that ignores its knots for this long is not doing what it is told.
 constexpr int kAstrayCycles = 3;
+/// A selection by hand that is not acknowledged by then is taken back.
+constexpr Duration kSelectTimeout = milliseconds(300);
+/// Beyond the module's own timeout, for stopping and the way back to set points.
+constexpr Duration kHomingGrace = milliseconds(3000);
+constexpr Duration kCommandTimeout = milliseconds(8000);
 /// A switch that is due this soon anyway is not pulled.
 constexpr Duration kPullMargin = milliseconds(5);
 
@@ -67,6 +72,14 @@ const char* describe(Activity activity) noexcept {
       return "stopping";
     case Activity::faulted:
       return "faulted";
+    case Activity::moving:
+      return "moving";
+    case Activity::homing:
+      return "homing";
+    case Activity::passive:
+      return "passive";
+    case Activity::disabled:
+      return "disabled";
   }
   return "?";
 }
@@ -105,6 +118,20 @@ const char* describe(EventKind kind) noexcept {
       return "swing aborted";
     case EventKind::fault:
       return "fault";
+    case EventKind::disabled:
+      return "disabled";
+    case EventKind::motion_began:
+      return "motion began";
+    case EventKind::motion_ended:
+      return "motion ended";
+    case EventKind::homing_began:
+      return "homing began";
+    case EventKind::homing_ended:
+      return "homing ended";
+    case EventKind::joint_active:
+      return "joint active";
+    case EventKind::command_ended:
+      return "command ended";
   }
   return "?";
 }
@@ -137,6 +164,72 @@ const char* describe(Refusal refusal) noexcept {
       return "the motion does not start where the robot is";
     case Refusal::not_usable:
       return "the motion is empty, not finite, or of another robot";
+    case Refusal::unknown_joint:
+      return "there is no such joint";
+    case Refusal::joint_unavailable:
+      return "the joint is not enabled";
+    case Refusal::not_passive:
+      return "the joint is not passive";
+  }
+  return "?";
+}
+
+const char* describe(CommandKind kind) noexcept {
+  switch (kind) {
+    case CommandKind::none:
+      return "none";
+    case CommandKind::enable:
+      return "enable";
+    case CommandKind::disable:
+      return "disable";
+    case CommandKind::home:
+      return "home";
+    case CommandKind::move:
+      return "move";
+    case CommandKind::passive:
+      return "passive";
+    case CommandKind::active:
+      return "active";
+    case CommandKind::stop:
+      return "stop";
+    case CommandKind::reset:
+      return "reset";
+  }
+  return "?";
+}
+
+const char* describe(CommandState state) noexcept {
+  switch (state) {
+    case CommandState::none:
+      return "none";
+    case CommandState::running:
+      return "running";
+    case CommandState::done:
+      return "done";
+    case CommandState::failed:
+      return "failed";
+  }
+  return "?";
+}
+
+const char* describe(CommandFailure failure) noexcept {
+  switch (failure) {
+    case CommandFailure::none:
+      return "done";
+    case CommandFailure::superseded:
+      return "another command came before it was done";
+    case CommandFailure::stopped:
+      return "a stop was asked for";
+    case CommandFailure::joint_fault:
+      return "a joint reported a fault or was lost";
+    case CommandFailure::timed_out:
+      return "it was not done in time";
+    case CommandFailure::homing_failed:
+      return "the joint did not find its switch";
+    case CommandFailure::refused_by_joint:
+      return "the joint refused";
+    case CommandFailure::not_following:
+      return "a joint stopped following its set points";
   }
   return "?";
 }
@@ -201,8 +294,8 @@ Supervisor::Supervisor(const RobotDescription& robot, const SupervisorConfig& co
   outcome_.done = false;
 }
 
-void Supervisor::emit(EventKind kind, int joint, std::uint32_t value) noexcept {
-  if (!events_.push_back({now_, kind, joint, value})) ++dropped_events_;
+void Supervisor::emit(EventKind kind, int joint, std::uint32_t value, std::uint32_t detail) noexcept {
+  if (!events_.push_back({now_, kind, joint, value, detail})) ++dropped_events_;
 }
 
 JointVector Supervisor::measured_position() const noexcept {
@@ -260,7 +353,7 @@ void Supervisor::step(Time now, std::span<const can::ReceivedFrame> received, ca
     for (int i = 0; i < dof_; ++i) nodes_[at(i)].receive(frame);
   }
   for (int i = 0; i < dof_; ++i) {
-    nodes_[at(i)].want_enabled(wanted_);
+    nodes_[at(i)].want_enabled(wanted_ && ((held_ >> static_cast<unsigned>(i)) & 1U) == 0);
     nodes_[at(i)].step(now, tx);
   }
   if (step_count_ == 0 || now - last_heartbeat_ >= kHeartbeatPeriod) {
@@ -271,6 +364,8 @@ void Supervisor::step(Time now, std::span<const can::ReceivedFrame> received, ca
   if (!cycle_seen_) on_cycle();
   if (step_count_ == 0) started_ = now;
   if (step_count_ % steps_per_sync_ == 0 && may_sync()) on_sync(tx);
+  disable_if_asked();
+  advance_command();
   ++step_count_;
 }
 
@@ -289,64 +384,331 @@ bool Supervisor::may_sync() const noexcept {
 
 void Supervisor::watch_nodes() noexcept {
   bool failed = false;
+  bool fell = false;
   for (int i = 0; i < dof_; ++i) {
     const NodeProxy& node = nodes_[at(i)];
+    const bool out = out_of_action(node.stage());
+    const bool was_up =
+        activity_ != Activity::bringing_up && activity_ != Activity::faulted && activity_ != Activity::disabled;
     if (node.stage() != shown_stage_[at(i)]) {
+      const bool fell_now = out && shown_stage_[at(i)] == NodeStage::enabled && wanted_;
+      fell = fell || fell_now;
       shown_stage_[at(i)] = node.stage();
       emit(EventKind::node_stage, i, static_cast<std::uint32_t>(node.stage()));
-      const bool was_up = activity_ != Activity::bringing_up && activity_ != Activity::faulted;
-      if (unusable(node.stage()) || (was_up && out_of_action(node.stage()))) {
+      if (unusable(node.stage()) || (out && (was_up || fell_now))) {
         emit(EventKind::fault, i, node.problem_detail());
       }
+      // Whatever has become of it until then: nobody but recover() enables it again.
+      if (out && (was_up || fell_now || activity_ == Activity::faulted)) held_ |= 1U << static_cast<unsigned>(i);
     }
     if (node.problem() != shown_problem_[at(i)]) {
       shown_problem_[at(i)] = node.problem();
       emit(EventKind::node_problem, i, static_cast<std::uint32_t>(node.problem()));
     }
-    failed = failed || out_of_action(node.stage());
+    failed = failed || out;
   }
   recover_if_asked();
-  if (activity_ == Activity::bringing_up) {
-    // Old motions died with the fault or were never there: each joint was led from where it said it was.
-    if (all_follow()) {
-      reference_ = at_rest(reference_.q);
-      begin_motion(JointTrajectory(reference_), Activity::holding);
-      emit(EventKind::all_enabled);
-    }
-    return;
+  switch (activity_) {
+    case Activity::disabled:
+    case Activity::faulted:
+      break;
+    case Activity::bringing_up:
+      // Old motions died with the fault or were never there: each joint was led from where it said it was.
+      if (fell) {
+        enter_faulted();
+      } else if (all_follow()) {
+        reference_ = at_rest(reference_.q);
+        begin_motion(JointTrajectory(reference_), Activity::holding);
+        emit(EventKind::all_enabled);
+      }
+      break;
+    case Activity::holding:
+    case Activity::approaching:
+    case Activity::dwelling:
+    case Activity::swinging:
+    case Activity::resuming:
+    case Activity::returning:
+    case Activity::stopping:
+    case Activity::moving:
+    case Activity::homing:
+    case Activity::passive:
+      if (failed) {
+        enter_faulted();
+      } else if (!all_follow() && activity_ == Activity::holding) {
+        activity_ = Activity::bringing_up;
+      }
+      break;
   }
-  if (failed && activity_ != Activity::faulted) {
-    const bool in_swing = activity_ != Activity::holding;
-    // Nobody lets go for a blow that will not be, and nobody stays let go.
+}
+
+// A switch that is armed is withdrawn only if the arm can then come to rest before the head: later it is better struck
+// passive than stiff.
+bool Supervisor::too_late_to_cancel() const noexcept {
+  return outcome_.switch_effective - now_ <= config_.acknowledge_before;
+}
+
+void Supervisor::enter_faulted() noexcept {
+  // Nobody lets go for a blow that will not be, and nobody stays let go.
+  const bool passive_now = selection_ == Selection::in_force || let_go_ != 0;
+  if (selection_ == Selection::armed && too_late_to_cancel()) {
+    // It comes into force, and is released when the blow is over.
+  } else {
     if (selection_ == Selection::armed) send_selection(0, can::SelectionAction::cancel, now_);
-    if (selection_ == Selection::in_force) send_selection(0, can::SelectionAction::now, now_);
+    if (passive_now) send_selection(0, can::SelectionAction::now, now_);
     selection_ = Selection::none;
-    begin_motion(stopping_motion(), Activity::faulted);
-    if (in_swing) {
-      outcome_.aborted = AbortReason::joint_fault;
-      outcome_.contact = observer_.report();
-      outcome_.done = true;
-      emit(EventKind::swing_aborted, -1, static_cast<std::uint32_t>(AbortReason::joint_fault));
-    }
-  } else if (!all_follow() && activity_ == Activity::holding) {
-    activity_ = Activity::bringing_up;
   }
+  let_go_ = 0;
+  begin_motion(stopping_motion(), Activity::faulted);
+  if (swing_open_) {
+    outcome_.aborted = AbortReason::joint_fault;
+    close_swing();
+    emit(EventKind::swing_aborted, -1, static_cast<std::uint32_t>(AbortReason::joint_fault));
+  }
+  end_command(CommandFailure::joint_fault);
 }
 
 void Supervisor::recover_if_asked() noexcept {
   if (!recover_wanted_) return;
   // The other joints come to rest first: bring-up leads nobody who moves.
-  if (activity_ == Activity::faulted && !motion_ended()) return;
+  if (activity_ == Activity::faulted && !(motion_ended() && selection_ == Selection::none)) return;
   recover_wanted_ = false;
-  if (activity_ != Activity::faulted && activity_ != Activity::bringing_up) return;
-  for (int i = 0; i < dof_; ++i) {
-    if (nodes_[at(i)].stage() == NodeStage::faulted) nodes_[at(i)].reset_fault();
+  if (activity_ != Activity::faulted && activity_ != Activity::bringing_up && activity_ != Activity::disabled) return;
+  held_ = 0;
+  for (int i = 0; i < dof_; ++i) nodes_[at(i)].reset_fault();
+  if (activity_ != Activity::disabled) activity_ = Activity::bringing_up;
+}
+
+bool Supervisor::at_rest_now() const noexcept {
+  switch (activity_) {
+    case Activity::bringing_up:
+    case Activity::holding:
+    case Activity::disabled:
+      return true;
+    case Activity::faulted:
+      return sync_ < 0 || (motion_ended() && selection_ == Selection::none);
+    case Activity::approaching:
+    case Activity::dwelling:
+    case Activity::swinging:
+    case Activity::resuming:
+    case Activity::returning:
+    case Activity::stopping:
+    case Activity::moving:
+    case Activity::homing:
+    case Activity::passive:
+      return false;
   }
+  return false;
+}
+
+void Supervisor::enable(bool wanted) noexcept {
+  if (!wanted) {
+    begin_command(CommandKind::disable);
+    disable_wanted_ = true;
+    stop_wanted_ = sync_ >= 0;
+    return;
+  }
+  begin_command(CommandKind::enable);
+  disable_wanted_ = false;
+  wanted_ = true;
+  if (activity_ == Activity::disabled) activity_ = Activity::bringing_up;
+}
+
+void Supervisor::disable_if_asked() noexcept {
+  if (!disable_wanted_ || stop_wanted_ || !at_rest_now()) return;
+  disable_wanted_ = false;
+  wanted_ = false;
+  held_ = 0;
+  activity_ = Activity::disabled;
+  emit(EventKind::disabled);
+}
+
+void Supervisor::stop() noexcept {
+  // Asked again and again it is one stop.
+  if (!(command_status_.kind == CommandKind::stop && command_status_.state == CommandState::running)) {
+    begin_command(CommandKind::stop);
+  }
+  stop_wanted_ = sync_ >= 0;
+}
+
+void Supervisor::recover() noexcept {
+  begin_command(CommandKind::reset);
+  recover_wanted_ = true;
+}
+
+Refusal Supervisor::move(const JointTrajectory& motion) noexcept {
+  if (activity_ != Activity::holding || disable_wanted_) return Refusal::not_ready;
+  if (motion.dof() != dof_ || !(motion.duration() > Duration{})) return Refusal::not_usable;
+  if (!((motion.start().q - reference_.q).cwiseAbs().maxCoeff() <= kStartTolerance_rad)) return Refusal::wrong_start;
+  begin_command(CommandKind::move);
+  begin_motion(motion, Activity::moving);
+  emit(EventKind::motion_began);
+  return Refusal::none;
+}
+
+Refusal Supervisor::home(int joint) noexcept {
+  if (!is_joint(joint)) return Refusal::unknown_joint;
+  // A joint that does not know where it is follows nobody: then the robot is still being brought up.
+  if ((activity_ != Activity::holding && activity_ != Activity::bringing_up) || disable_wanted_) {
+    return Refusal::not_ready;
+  }
+  if (nodes_[at(joint)].stage() != NodeStage::enabled) return Refusal::joint_unavailable;
+  begin_command(CommandKind::home, joint);
+  nodes_[at(joint)].start_homing();
+  homing_joint_ = joint;
+  reference_ = at_rest(reference_.q);
+  begin_motion(JointTrajectory(reference_), Activity::homing);
+  emit(EventKind::homing_began, joint);
+  return Refusal::none;
+}
+
+Refusal Supervisor::set_passive(int joint) noexcept {
+  if (!is_joint(joint)) return Refusal::unknown_joint;
+  if ((activity_ != Activity::holding && activity_ != Activity::passive) || disable_wanted_) return Refusal::not_ready;
+  if (nodes_[at(joint)].stage() != NodeStage::enabled) return Refusal::joint_unavailable;
+  begin_command(CommandKind::passive, joint);
+  let_go_ |= 1U << static_cast<unsigned>(joint);
+  send_selection(let_go_, can::SelectionAction::now, now_);
+  if (activity_ == Activity::holding) {
+    reference_ = at_rest(reference_.q);
+    begin_motion(JointTrajectory(reference_), Activity::passive);
+  }
+  return Refusal::none;
+}
+
+Refusal Supervisor::set_active(int joint) noexcept {
+  if (!is_joint(joint)) return Refusal::unknown_joint;
+  const std::uint32_t bit = 1U << static_cast<unsigned>(joint);
+  if (activity_ != Activity::passive || (let_go_ & bit) == 0) return Refusal::not_passive;
+  begin_command(CommandKind::active, joint);
+  let_go_ &= ~bit;
+  send_selection(let_go_, can::SelectionAction::now, now_);
+  return Refusal::none;
+}
+
+// All joints that were let go by hand shall hold again.
+void Supervisor::take_back() noexcept {
+  if (let_go_ == 0) return;
+  let_go_ = 0;
+  send_selection(0, can::SelectionAction::now, now_);
+}
+
+// Joints come back by command, or by themselves; when all are back they are resynchronised like after any bring-up.
+void Supervisor::advance_let_go() noexcept {
+  for (int i = 0; i < dof_; ++i) {
+    const std::uint32_t bit = 1U << static_cast<unsigned>(i);
+    if ((let_go_ & bit) == 0) continue;
+    const bool is_command = command_status_.kind == CommandKind::passive && command_status_.joint == i &&
+                            command_status_.state == CommandState::running;
+    if (nodes_[at(i)].measured().mode_display == kModePassive) {
+      if (!is_command) continue;
+      emit(EventKind::joint_passive, i);
+      end_command(CommandFailure::none);
+    } else if (!is_command) {
+      let_go_ &= ~bit;  // it may have come back by itself; no later selection shall let it go again
+      emit(EventKind::joint_active, i);
+    } else if (now_ - command_status_.since >= kSelectTimeout) {
+      let_go_ &= ~bit;
+      send_selection(let_go_, can::SelectionAction::now, now_);
+      const auto state = static_cast<unsigned>(nodes_[at(i)].measured().selection_acknowledged) >> 5U;
+      end_command(state == static_cast<unsigned>(can::SelectionState::refused) ? CommandFailure::refused_by_joint
+                                                                               : CommandFailure::timed_out);
+    }
+  }
+  if (let_go_ == 0) activity_ = Activity::bringing_up;
+}
+
+void Supervisor::advance_homing() noexcept {
+  NodeProxy& node = nodes_[at(homing_joint_)];
+  const Duration limit = seconds(robot_.joints[at(homing_joint_)].homing.timeout_s) + kHomingGrace;
+  if (node.homing() == HomingState::running) {
+    if (now_ - activity_since_ > limit) node.stop_homing();
+    return;
+  }
+  // Set points lead again only once the module says that it is back in their mode.
+  if (node.measured().mode_display == static_cast<std::int8_t>(6)) return;
+  emit(EventKind::homing_ended, homing_joint_, static_cast<std::uint32_t>(node.homing()));
   activity_ = Activity::bringing_up;
+  switch (node.homing()) {
+    case HomingState::attained:
+      end_command(CommandFailure::none);
+      break;
+    case HomingState::failed:
+      end_command(CommandFailure::homing_failed);
+      break;
+    case HomingState::none:
+    case HomingState::running:
+    case HomingState::aborted:
+      end_command(now_ - activity_since_ > limit ? CommandFailure::timed_out : CommandFailure::stopped);
+      break;
+  }
+}
+
+void Supervisor::begin_command(CommandKind kind, int joint) noexcept {
+  const bool stops = kind == CommandKind::stop || kind == CommandKind::disable;
+  end_command(stops ? CommandFailure::stopped : CommandFailure::superseded);
+  command_status_ = {command_status_.number + 1, kind, joint, CommandState::running, CommandFailure::none, now_};
+}
+
+void Supervisor::end_command(CommandFailure failure) noexcept {
+  if (command_status_.state != CommandState::running) return;
+  // A stop is what is wanted after a fault too.
+  if (failure == CommandFailure::joint_fault &&
+      (command_status_.kind == CommandKind::stop || command_status_.kind == CommandKind::disable)) {
+    return;
+  }
+  command_status_.state = failure == CommandFailure::none ? CommandState::done : CommandState::failed;
+  command_status_.failure = failure;
+  emit(EventKind::command_ended, command_status_.joint, command_status_.number, static_cast<std::uint32_t>(failure));
+}
+
+void Supervisor::advance_command() noexcept {
+  if (command_status_.state != CommandState::running) return;
+  const Duration since = now_ - command_status_.since;
+  switch (command_status_.kind) {
+    case CommandKind::none:
+    case CommandKind::home:
+    case CommandKind::move:
+    case CommandKind::passive:
+      return;  // ended where they happen
+    case CommandKind::enable:
+      if (activity_ == Activity::holding) end_command(CommandFailure::none);
+      break;
+    case CommandKind::active:
+      if (nodes_[at(command_status_.joint)].measured().follows_knots()) {
+        emit(EventKind::joint_active, command_status_.joint);
+        end_command(CommandFailure::none);
+      }
+      break;
+    case CommandKind::disable: {
+      if (activity_ != Activity::disabled) break;
+      for (int i = 0; i < dof_; ++i) {
+        const NodeMeasurement& measured = nodes_[at(i)].measured();
+        if (measured.valid && is_powered(measured.statusword)) return;
+      }
+      end_command(CommandFailure::none);
+      break;
+    }
+    case CommandKind::stop:
+      if (!stop_wanted_ && at_rest_now()) end_command(CommandFailure::none);
+      break;
+    case CommandKind::reset: {
+      if (recover_wanted_) break;
+      bool bad = false;
+      for (int i = 0; i < dof_; ++i) {
+        const NodeStage stage = nodes_[at(i)].stage();
+        bad = bad || stage == NodeStage::faulted || stage == NodeStage::refused || stage == NodeStage::identifying;
+      }
+      if (activity_ == Activity::holding || (activity_ == Activity::disabled && !bad)) {
+        end_command(CommandFailure::none);
+      }
+      break;
+    }
+  }
+  if (since > kCommandTimeout) end_command(CommandFailure::timed_out);
 }
 
 Refusal Supervisor::execute(const StrikePlan& plan) noexcept {
-  if (activity_ != Activity::holding) return Refusal::not_ready;
+  if (activity_ != Activity::holding || disable_wanted_) return Refusal::not_ready;
   if (plan.approach.dof() != dof_ || plan.strike.dof() != dof_ || !(plan.strike.duration() > Duration{})) {
     return Refusal::not_usable;
   }
@@ -362,6 +724,7 @@ Refusal Supervisor::execute(const StrikePlan& plan) noexcept {
   condition_.emplace(chain_, plan, switch_config(robot_));
   observer_.reset(plan.normal, plan.head_position_m, kContactGate_m);
   outcome_ = SwingOutcome{};
+  swing_open_ = true;
   for (auto& seen : outcome_.passive_seen) seen = Time{-1};
   selection_ = Selection::none;
   contact_phase_ = ContactPhase::none;
@@ -373,6 +736,7 @@ Refusal Supervisor::execute(const StrikePlan& plan) noexcept {
 void Supervisor::begin_motion(const JointTrajectory& trajectory, Activity activity) noexcept {
   motion_ = trajectory;
   motion_start_ = last_knot_;
+  detached_ = 0;
   activity_ = activity;
   activity_since_ = now_;
 }
@@ -415,7 +779,11 @@ void Supervisor::on_cycle() noexcept {
     sample_.qd[i] = measured.velocity_rad_s;
     sample_.torque_nm[i] = measured.torque_nm;
   }
-  if (activity_ != Activity::swinging && activity_ != Activity::resuming && activity_ != Activity::returning) return;
+  const bool late_switch = selection_ == Selection::armed || selection_ == Selection::in_force;
+  if (activity_ != Activity::swinging && activity_ != Activity::resuming && activity_ != Activity::returning &&
+      !late_switch) {
+    return;
+  }
 
   // A blow may last until the hammer is lifted.
   const ContactReport& contact = observer_.step(knot_time(sync_), sample_);
@@ -451,10 +819,20 @@ void Supervisor::stop_now() noexcept {
         emit(EventKind::swing_aborted, -1, static_cast<std::uint32_t>(AbortReason::stop_requested));
       }
       break;
+    case Activity::moving:
+      begin_motion(stopping_motion(), Activity::stopping);
+      break;
+    case Activity::homing:
+      nodes_[at(homing_joint_)].stop_homing();
+      break;
+    case Activity::passive:
+      take_back();
+      break;
     case Activity::bringing_up:
     case Activity::holding:
     case Activity::stopping:
     case Activity::faulted:
+    case Activity::disabled:
       break;
   }
 }
@@ -465,15 +843,35 @@ void Supervisor::advance_activity() noexcept {
     stop_now();
   }
   if (activity_ == Activity::approaching || activity_ == Activity::dwelling || activity_ == Activity::swinging ||
-      activity_ == Activity::returning) {
+      activity_ == Activity::returning || activity_ == Activity::moving) {
     const bool may_be_passive = activity_ == Activity::swinging && selection_ != Selection::none;
-    astray_cycles_ = all_follow(may_be_passive ? program_.passive : 0U) ? 0 : astray_cycles_ + 1;
-    if (astray_cycles_ >= kAstrayCycles) abort_swing(AbortReason::not_following);
+    const std::uint32_t except = may_be_passive ? program_.passive : 0U;
+    astray_cycles_ = all_follow(except) && (detached_ & ~except) == 0 ? 0 : astray_cycles_ + 1;
+    if (astray_cycles_ >= kAstrayCycles && activity_ == Activity::moving) {
+      end_command(CommandFailure::not_following);
+      begin_motion(stopping_motion(), Activity::stopping);
+    } else if (astray_cycles_ >= kAstrayCycles) {
+      abort_swing(AbortReason::not_following);
+    }
   }
   switch (activity_) {
     case Activity::bringing_up:
     case Activity::holding:
     case Activity::faulted:
+    case Activity::disabled:
+      break;
+    case Activity::moving:
+      if (motion_ended()) {
+        activity_ = Activity::holding;
+        emit(EventKind::motion_ended);
+        end_command(CommandFailure::none);
+      }
+      break;
+    case Activity::homing:
+      advance_homing();
+      break;
+    case Activity::passive:
+      advance_let_go();
       break;
     case Activity::approaching:
       if (motion_ended()) {
@@ -493,8 +891,7 @@ void Supervisor::advance_activity() noexcept {
       break;
     case Activity::swinging:
       if (selection_ == Selection::in_force) {
-        const bool time_is_up = now_ >= outcome_.switch_effective + program_.passive_time;
-        if (contact_phase_ == ContactPhase::over || time_is_up || sinking()) begin_resume();
+        if (blow_over()) begin_resume();
       } else if (motion_ended()) {
         // The report is closed by the time the arm is back; a blow still open then has ended by leaving.
         finish_swing();
@@ -515,13 +912,29 @@ void Supervisor::advance_activity() noexcept {
       if (motion_ended()) finish_swing();
       break;
     case Activity::stopping:
-      if (motion_ended()) {
+      if (motion_ended() && selection_ == Selection::none) {
         activity_ = Activity::holding;
-        outcome_.contact = observer_.report();
-        outcome_.done = true;
+        if (swing_open_) {
+          close_swing();
+        } else {
+          emit(EventKind::motion_ended);
+        }
       }
       break;
   }
+}
+
+void Supervisor::close_swing() noexcept {
+  outcome_.contact = observer_.report();
+  outcome_.done = true;
+  swing_open_ = false;
+}
+
+// A switch in force has served: the blow ended, is late, or the arm must be caught.
+bool Supervisor::blow_over() const noexcept {
+  if (contact_phase_ == ContactPhase::over) return true;
+  if (now_ >= outcome_.switch_effective + program_.passive_time) return true;
+  return activity_ != Activity::faulted && sinking();  // with a joint lost, what is known of the arm is old
 }
 
 void Supervisor::send_selection(std::uint32_t passive, can::SelectionAction action, Time effective) noexcept {
@@ -583,6 +996,14 @@ void Supervisor::advance_selection(can::TransmitQueue& tx) noexcept {
       }
     }
   }
+  if (activity_ == Activity::stopping || activity_ == Activity::faulted) {
+    // What was too late to be withdrawn.
+    if (selection_ == Selection::armed && now_ >= outcome_.switch_effective) selection_ = Selection::in_force;
+    if (selection_ == Selection::in_force && blow_over()) {
+      send_selection(0, can::SelectionAction::now, now_);
+      selection_ = Selection::none;
+    }
+  }
   if (command_pending_) (void)tx.push_back(can::selection_frame(command_));
 }
 
@@ -620,18 +1041,14 @@ void Supervisor::abort_swing(AbortReason reason) noexcept {
   if (selection_ == Selection::in_force || selection_ == Selection::releasing) {
     begin_resume();
   } else {
-    // Too late to come to rest before the head, a switch that is armed stays: better struck passive than stiff.
-    if (selection_ == Selection::armed && outcome_.switch_effective - now_ > config_.acknowledge_before) {
-      withdraw_selection();
-    }
-    selection_ = Selection::none;
+    if (selection_ == Selection::armed && !too_late_to_cancel()) withdraw_selection();
+    if (selection_ != Selection::armed) selection_ = Selection::none;
     begin_motion(stopping_motion(), Activity::stopping);
   }
 }
 
 void Supervisor::finish_swing() noexcept {
-  outcome_.contact = observer_.report();
-  outcome_.done = true;
+  close_swing();
   selection_ = Selection::none;
   activity_ = Activity::holding;
   emit(EventKind::swing_ended);
@@ -643,15 +1060,15 @@ void Supervisor::stream_knots(can::TransmitQueue& tx) noexcept {
   if (activity_ != Activity::bringing_up) motion_.sample(sync_period_ * (last_knot_ - motion_start_), reference_);
   for (int i = 0; i < dof_; ++i) {
     const NodeMeasurement& measured = nodes_[at(i)].measured();
-    const bool was_passive =
-        activity_ == Activity::resuming && ((program_.passive >> static_cast<unsigned>(i)) & 1U) != 0;
+    const std::uint32_t bit = 1U << static_cast<unsigned>(i);
+    if (activity_ == Activity::bringing_up || !measured.follows_knots()) detached_ |= bit;
+    if ((detached_ & bit) == 0) continue;
     if (measured.follows_knots()) {
       // What took over from its own position stays there until the next motion.
-      if (activity_ != Activity::bringing_up && !was_passive) continue;
       reference_.q[i] = before[i];
     } else {
-      // Led by nobody (not enabled, passive, or just back): its own position is echoed, so that it takes over from
-      // where it is. In steps: a joint that takes over while it still moves must not be sent after its own noise.
+      // Led by nobody (not enabled, passive, homing, or just back): its own position is echoed, so that it takes over
+      // from where it is. In steps: a joint that takes over while it still moves must not be sent after its own noise.
       const bool near = std::abs(measured.position_rad - before[i]) <= kEchoStep_rad;
       reference_.q[i] = near ? before[i] : measured.position_rad;
     }

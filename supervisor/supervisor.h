@@ -38,6 +38,10 @@ enum class Activity : std::uint8_t {
   returning,
   stopping,  ///< a swing was aborted
   faulted,   ///< a joint reports a fault or is lost; the others hold
+  moving,    ///< from rest to rest, as asked
+  homing,    ///< one joint looks for its switch, the others hold
+  passive,   ///< some joints were let go, the others hold
+  disabled,  ///< nobody is wanted enabled
 };
 [[nodiscard]] const char* describe(Activity activity) noexcept;
 
@@ -58,6 +62,13 @@ enum class EventKind : std::uint8_t {
   swing_ended,
   swing_aborted,  ///< value: AbortReason
   fault,          ///< joint, value: emergency code
+  disabled,
+  motion_began,
+  motion_ended,
+  homing_began,   ///< joint
+  homing_ended,   ///< joint, value: HomingState
+  joint_active,   ///< joint: back from passive
+  command_ended,  ///< joint, value: number of the command, detail: CommandFailure
 };
 [[nodiscard]] const char* describe(EventKind kind) noexcept;
 
@@ -66,6 +77,7 @@ struct Event {
   EventKind kind{};
   int joint = -1;  ///< 0-based; -1: the robot
   std::uint32_t value = 0;
+  std::uint32_t detail = 0;
 };
 using EventQueue = StaticVector<Event, 64>;
 
@@ -109,10 +121,61 @@ struct SwingProgram {
 };
 [[nodiscard]] SwingProgram program_of(const StrikePlan& plan);
 
-enum class Refusal : std::uint8_t { none, not_ready, wrong_start, not_usable };
+enum class Refusal : std::uint8_t {
+  none,
+  not_ready,
+  wrong_start,
+  not_usable,
+  unknown_joint,
+  joint_unavailable,  ///< not enabled
+  not_passive,
+};
 [[nodiscard]] const char* describe(Refusal refusal) noexcept;
 
-class Supervisor {
+enum class CommandKind : std::uint8_t { none, enable, disable, home, move, passive, active, stop, reset };
+[[nodiscard]] const char* describe(CommandKind kind) noexcept;
+
+enum class CommandState : std::uint8_t { none, running, done, failed };
+[[nodiscard]] const char* describe(CommandState state) noexcept;
+
+enum class CommandFailure : std::uint8_t {
+  none,
+  superseded,  ///< another command came
+  stopped,
+  joint_fault,
+  timed_out,
+  homing_failed,
+  refused_by_joint,
+  not_following,
+};
+[[nodiscard]] const char* describe(CommandFailure failure) noexcept;
+
+/// The last command, and what became of it. Commands end by themselves; one ends when the next comes.
+struct CommandStatus {
+  std::uint32_t number = 0;  ///< counts up from 1
+  CommandKind kind = CommandKind::none;
+  int joint = -1;
+  CommandState state = CommandState::none;
+  CommandFailure failure = CommandFailure::none;
+  Time since;
+};
+
+/// What a hammering session needs of a robot: the supervisor itself, or its shadow in another thread.
+class RobotPort {
+ public:
+  virtual ~RobotPort() = default;
+  /// Bring all joints up and enable them; false: stop, then let go of them with their brakes on.
+  virtual void enable(bool wanted) = 0;
+  /// Run a swing. Accepted only when holding, and only if it starts where the robot is.
+  [[nodiscard]] virtual Refusal execute(const StrikePlan& plan) = 0;
+  [[nodiscard]] virtual Activity activity() const = 0;
+  [[nodiscard]] virtual const SwingOutcome& outcome() const = 0;
+  /// Where the joints are told to be, rad.
+  [[nodiscard]] virtual JointVector reference_position() const = 0;
+  [[nodiscard]] virtual NodeReport report(int joint) const = 0;
+};
+
+class Supervisor final : public RobotPort {
  public:
   /// Checks the bus budget and the model against KDL; throws DescriptionError naming what does not fit.
   Supervisor(const RobotDescription& robot, const SupervisorConfig& config);
@@ -120,20 +183,33 @@ class Supervisor {
   /// One step of `config.step`. Frames that arrived since the last one, stamped on the same clock as `now`.
   void step(Time now, std::span<const can::ReceivedFrame> received, can::TransmitQueue& tx) noexcept;
 
-  /// Bring all joints up and enable them; false: let go of them in a controlled way.
-  void enable(bool wanted) noexcept { wanted_ = wanted; }
-  /// Run a swing. Accepted only when holding, and only if it starts where the robot is.
-  [[nodiscard]] Refusal execute(const StrikePlan& plan) noexcept;
+  void enable(bool wanted) noexcept override;
+  [[nodiscard]] Refusal execute(const StrikePlan& plan) noexcept override;
   /// Controlled stop, then hold. While joints are passive, once they are back.
-  void stop() noexcept { stop_wanted_ = true; }
+  void stop() noexcept;
   /// Acknowledge the faults there are now; joints are brought up again, as soon as all are at rest, and held where they
-  /// are.
-  void recover() noexcept { recover_wanted_ = true; }
+  /// are. Until then a joint that was lost and came back stays braked. Refused nodes are asked again.
+  void recover() noexcept;
+  /// A motion from rest to rest, planned by plan_move(). Accepted only when holding, and if it starts where the robot
+  /// is.
+  [[nodiscard]] Refusal move(const JointTrajectory& motion) noexcept;
+  /// Homing of one joint, the others hold. Accepted when nobody moves and the joint is enabled.
+  [[nodiscard]] Refusal home(int joint) noexcept;
+  /// Let one more joint go passive now; it comes back by itself after its longest time or travel. Accepted when holding
+  /// or when others are passive already.
+  [[nodiscard]] Refusal set_passive(int joint) noexcept;
+  /// Back to active, to hold where it is.
+  [[nodiscard]] Refusal set_active(int joint) noexcept;
+  [[nodiscard]] const CommandStatus& command() const noexcept { return command_status_; }
+  /// Joints that were let go by set_passive(), bit i: joint i.
+  [[nodiscard]] std::uint32_t let_go() const noexcept { return let_go_; }
 
-  [[nodiscard]] Activity activity() const noexcept { return activity_; }
+  [[nodiscard]] Activity activity() const noexcept override { return activity_; }
   [[nodiscard]] const Chain& chain() const noexcept { return chain_; }
   [[nodiscard]] const NodeProxy& node(int joint) const noexcept { return nodes_[at(joint)]; }
-  [[nodiscard]] const SwingOutcome& outcome() const noexcept { return outcome_; }
+  [[nodiscard]] const SwingOutcome& outcome() const noexcept override { return outcome_; }
+  [[nodiscard]] JointVector reference_position() const noexcept override { return reference_.q; }
+  [[nodiscard]] NodeReport report(int joint) const noexcept override { return nodes_[at(joint)].report(); }
   /// Where the joints are told to be, by the last knot sent.
   [[nodiscard]] const JointMotion& reference() const noexcept { return reference_; }
   /// Measured, rad.
@@ -145,10 +221,23 @@ class Supervisor {
 
  private:
   static constexpr std::size_t at(int i) noexcept { return static_cast<std::size_t>(i); }
-  void emit(EventKind kind, int joint = -1, std::uint32_t value = 0) noexcept;
+  void emit(EventKind kind, int joint = -1, std::uint32_t value = 0, std::uint32_t detail = 0) noexcept;
   [[nodiscard]] bool may_sync() const noexcept;
   void watch_nodes() noexcept;
   void recover_if_asked() noexcept;
+  void enter_faulted() noexcept;
+  void disable_if_asked() noexcept;
+  void begin_command(CommandKind kind, int joint = -1) noexcept;
+  void end_command(CommandFailure failure) noexcept;
+  void advance_command() noexcept;
+  void advance_homing() noexcept;
+  void advance_let_go() noexcept;
+  void take_back() noexcept;
+  [[nodiscard]] bool is_joint(int joint) const noexcept { return joint >= 0 && joint < dof_; }
+  [[nodiscard]] bool at_rest_now() const noexcept;
+  [[nodiscard]] bool blow_over() const noexcept;
+  [[nodiscard]] bool too_late_to_cancel() const noexcept;
+  void close_swing() noexcept;
   void stop_now() noexcept;
   void on_sync(can::TransmitQueue& tx) noexcept;
   void on_cycle() noexcept;
@@ -190,6 +279,7 @@ class Supervisor {
   Time last_heartbeat_;
   bool cycle_seen_ = false;
   bool wanted_ = false;
+  bool disable_wanted_ = false;
   bool stop_wanted_ = false;
   bool recover_wanted_ = false;
 
@@ -199,12 +289,18 @@ class Supervisor {
   std::int64_t motion_start_ = 0;  // knot at which motion_ is at t = 0
   std::int64_t last_knot_ = 0;     // the last one sent; reference_ is what it said
   JointMotion reference_;
+  std::uint32_t detached_ = 0;  // joints that motion_ no longer leads: they stay where they took over
+  std::uint32_t held_ = 0;      // joints that failed: not enabled again before recover()
+  std::uint32_t let_go_ = 0;    // passive by set_passive()
+  int homing_joint_ = -1;
+  CommandStatus command_status_;
   std::uint16_t knot_sequence_ = 0;
   SwingProgram program_;
   std::optional<SwitchCondition> condition_;
   ContactObserver observer_;
   ContactSample sample_;
   SwingOutcome outcome_;
+  bool swing_open_ = false;  // executed, not done
   ContactPhase contact_phase_ = ContactPhase::none;
   int astray_cycles_ = 0;
 

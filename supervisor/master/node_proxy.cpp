@@ -13,7 +13,10 @@ constexpr std::uint16_t kSwitchOn = 0x07;
 constexpr std::uint16_t kEnableOperation = 0x0F;
 constexpr std::uint16_t kDisableVoltage = 0x00;
 constexpr std::uint16_t kFaultReset = 0x80;
-constexpr std::int8_t kModeCyclicPosition = 8;
+constexpr std::uint16_t kHomingStart = 0x10;
+constexpr std::uint16_t kHomingAttained = 0x1000;
+constexpr std::uint16_t kHomingError = 0x2000;
+constexpr std::int8_t kModeHoming = 6;
 
 enum class PowerState : std::uint8_t {
   not_ready,
@@ -132,7 +135,58 @@ const char* describe(NodeStage stage) noexcept {
 NodeProxy::NodeProxy(const NodeSettings& settings) noexcept
     : settings_(settings), sdo_(settings.node_id, kRequestTimeout) {}
 
-void NodeProxy::reset_fault() noexcept { resets_left_ = kMaxResets; }
+const char* describe_state(std::uint16_t statusword) noexcept {
+  switch (power_state(statusword)) {
+    case PowerState::not_ready:
+      return "not ready to switch on";
+    case PowerState::switch_on_disabled:
+      return "switch on disabled";
+    case PowerState::ready:
+      return "ready to switch on";
+    case PowerState::switched_on:
+      return "switched on";
+    case PowerState::enabled:
+      return "operation enabled";
+    case PowerState::quick_stop:
+      return "quick stop active";
+    case PowerState::reaction:
+      return "fault reaction active";
+    case PowerState::fault:
+      return "fault";
+  }
+  return "?";
+}
+
+bool is_powered(std::uint16_t statusword) noexcept {
+  switch (power_state(statusword)) {
+    case PowerState::enabled:
+    case PowerState::quick_stop:
+    case PowerState::reaction:
+      return true;
+    case PowerState::not_ready:
+    case PowerState::switch_on_disabled:
+    case PowerState::ready:
+    case PowerState::switched_on:
+    case PowerState::fault:
+      return false;
+  }
+  return false;
+}
+
+void NodeProxy::reset_fault() noexcept {
+  if (stage_ == NodeStage::faulted) resets_left_ = kMaxResets;
+  ask_again_ = stage_ == NodeStage::refused;
+}
+
+void NodeProxy::start_homing() noexcept {
+  if (stage_ != NodeStage::enabled) return;
+  homing_ = HomingState::running;
+  homing_started_ = false;
+}
+
+void NodeProxy::stop_homing() noexcept {
+  if (homing_ == HomingState::running) homing_ = HomingState::aborted;
+}
 
 void NodeProxy::enter(NodeStage stage, Time now) noexcept {
   stage_ = stage;
@@ -169,6 +223,14 @@ void NodeProxy::receive(const can::ReceivedFrame& received) noexcept {
       received_in_cycle_ |= 2U;
       received_ever_ |= 2U;
     }
+  } else if (frame.id == can::kTpdo3CobId + id) {
+    if (const auto pdo = can::unpack_tpdo3(frame)) {
+      condition_.valid = true;
+      condition_.winding_c = pdo->winding_temperature_ddegc * 0.1;
+      condition_.drive_c = pdo->drive_temperature_degc;
+      condition_.bus_v = pdo->bus_voltage_cv * 0.01;
+      condition_.loop_load = pdo->loop_load_percent * 0.01;
+    }
   } else if (frame.id == can::kSdoReplyCobId + id) {
     answer_ = frame;
     has_answer_ = true;
@@ -195,6 +257,8 @@ void NodeProxy::step(Time now, can::TransmitQueue& tx) noexcept {
     booted_ = false;
     received_ever_ = 0;
     measured_ = NodeMeasurement{};
+    condition_ = NodeCondition{};
+    fault_ = 0;
     sdo_.cancel();
     request_index_ = 0;
     request_pending_ = false;
@@ -211,8 +275,10 @@ void NodeProxy::step(Time now, can::TransmitQueue& tx) noexcept {
     heard_ = false;
     received_ever_ = 0;
     measured_.valid = false;
+    condition_.valid = false;
     enter(NodeStage::lost, now);
   }
+  if (stage_ != NodeStage::enabled && homing_ == HomingState::running) homing_ = HomingState::aborted;
 
   switch (stage_) {
     case NodeStage::absent:
@@ -246,8 +312,16 @@ void NodeProxy::step(Time now, can::TransmitQueue& tx) noexcept {
       step_power(now, tx);
       break;
     case NodeStage::refused:
+      if (ask_again_) {
+        request_index_ = 0;
+        request_pending_ = false;
+        problem_ = NodeProblem::none;
+        problem_detail_ = 0;
+        enter(NodeStage::identifying, now);
+      }
       break;
   }
+  ask_again_ = false;
 }
 
 void NodeProxy::step_requests(Time now, can::TransmitQueue& tx) noexcept {
@@ -303,11 +377,35 @@ void NodeProxy::step_requests(Time now, can::TransmitQueue& tx) noexcept {
   request_pending_ = sdo_.download_integer(request.object, value);
 }
 
-void NodeProxy::send_controlword(std::uint16_t controlword, Time now, can::TransmitQueue& tx) noexcept {
-  if (controlword == controlword_ && now - last_command_ < kCommandPeriod) return;
+void NodeProxy::send_controlword(std::uint16_t controlword, Time now, can::TransmitQueue& tx,
+                                 std::int8_t mode) noexcept {
+  if (controlword == controlword_ && mode == mode_ && now - last_command_ < kCommandPeriod) return;
   controlword_ = controlword;
+  mode_ = mode;
   last_command_ = now;
-  (void)tx.push_back(can::pack_rpdo1(settings_.node_id, {controlword, kModeCyclicPosition}));
+  (void)tx.push_back(can::pack_rpdo1(settings_.node_id, {controlword, mode}));
+}
+
+// The mode first, then the start bit. The module may still show what it attained in an earlier run: only after the
+// start has shown (neither attained nor at rest) does the bit speak of this one.
+void NodeProxy::step_homing(Time now, can::TransmitQueue& tx) noexcept {
+  if (homing_ == HomingState::running && measured_.mode_display == kModeHoming) {
+    const bool attained = (measured_.statusword & kHomingAttained) != 0;
+    const bool error = (measured_.statusword & kHomingError) != 0;
+    if (mode_ == kModeHoming && controlword_ == (kEnableOperation | kHomingStart)) {
+      if (!attained && !error) homing_started_ = true;
+      if (homing_started_ && (attained || error)) homing_ = attained ? HomingState::attained : HomingState::failed;
+    }
+    if (homing_ == HomingState::running) {
+      send_controlword(kEnableOperation | kHomingStart, now, tx, kModeHoming);
+      return;
+    }
+  }
+  if (homing_ == HomingState::running) {
+    send_controlword(kEnableOperation, now, tx, kModeHoming);
+  } else if (measured_.mode_display == kModeHoming) {
+    send_controlword(kEnableOperation, now, tx);
+  }
 }
 
 void NodeProxy::step_power(Time now, can::TransmitQueue& tx) noexcept {
@@ -316,6 +414,8 @@ void NodeProxy::step_power(Time now, can::TransmitQueue& tx) noexcept {
     if (stage_ != NodeStage::faulted) {
       problem_ = NodeProblem::fault;
       problem_detail_ = measured_.error_or_limit >= 0x1000U ? measured_.error_or_limit : last_emergency_;
+      fault_ = static_cast<std::uint16_t>(problem_detail_);
+      fault_at_ = now;
       enter(NodeStage::faulted, now);
     }
     if (resets_left_ > 0 && state == PowerState::fault && now - last_command_ >= kCommandPeriod) {
@@ -331,6 +431,7 @@ void NodeProxy::step_power(Time now, can::TransmitQueue& tx) noexcept {
   }
   if (stage_ == NodeStage::faulted) {
     resets_left_ = 0;
+    fault_ = 0;
     problem_ = NodeProblem::none;
     problem_detail_ = 0;
     enter(NodeStage::idle, now);
@@ -365,6 +466,8 @@ void NodeProxy::step_power(Time now, can::TransmitQueue& tx) noexcept {
         } else {
           send_controlword(kEnableOperation, now, tx);
         }
+      } else {
+        step_homing(now, tx);
       }
       return;
     case PowerState::not_ready:

@@ -66,6 +66,40 @@ struct NodeMeasurement {
   [[nodiscard]] bool follows_knots() const noexcept { return mode_display == 8 && (statusword & 0x1000U) != 0; }
 };
 
+/// What TPDO3 says ten times a second.
+struct NodeCondition {
+  bool valid = false;
+  double winding_c = 0.0;
+  double drive_c = 0.0;
+  double bus_v = 0.0;
+  double loop_load = 0.0;  ///< share of a control tick
+};
+
+/// How a homing run that was asked for stands.
+enum class HomingState : std::uint8_t {
+  none,
+  running,
+  attained,
+  failed,   ///< the module says so: statusword bit 13
+  aborted,  ///< stop_homing(), or the joint fell out of operation
+};
+
+/// What there is to know of a node, by value: for whoever must not hold the node itself.
+struct NodeReport {
+  NodeStage stage = NodeStage::absent;
+  NodeProblem problem = NodeProblem::silent;
+  std::uint32_t problem_detail = 0;
+  NodeMeasurement measured;
+  NodeCondition condition;
+  std::uint16_t fault = 0;  ///< emergency code of the first fault since the last acknowledgement; 0: none
+  Time fault_at;            ///< when it was seen here
+};
+
+/// CiA 402 state of a statusword, in words.
+[[nodiscard]] const char* describe_state(std::uint16_t statusword) noexcept;
+/// Power is on or on its way: no brake is to be trusted.
+[[nodiscard]] bool is_powered(std::uint16_t statusword) noexcept;
+
 class NodeProxy {
  public:
   NodeProxy() = default;
@@ -78,8 +112,13 @@ class NodeProxy {
 
   /// Whether the node shall be enabled. Falling back takes power away in a controlled way.
   void want_enabled(bool wanted) noexcept { wanted_ = wanted; }
-  /// Acknowledge a fault: fault resets until it takes, a few at most, then bring-up goes on.
+  /// Acknowledge: fault resets until it takes, a few at most, then bring-up goes on. A refused node is asked again.
   void reset_fault() noexcept;
+  /// Run homing: mode 6 and its start bit, until the module says how it ended, then mode 8 again. Only when enabled.
+  void start_homing() noexcept;
+  /// The joint stops, and goes back to mode 8.
+  void stop_homing() noexcept;
+  [[nodiscard]] HomingState homing() const noexcept { return homing_; }
 
   /// Forget which PDOs came: a new SYNC goes out.
   void begin_cycle() noexcept { received_in_cycle_ = 0; }
@@ -90,24 +129,36 @@ class NodeProxy {
   [[nodiscard]] std::uint32_t problem_detail() const noexcept { return problem_detail_; }
   [[nodiscard]] const NodeMeasurement& measured() const noexcept { return measured_; }
   [[nodiscard]] const NodeSettings& settings() const noexcept { return settings_; }
+  [[nodiscard]] NodeReport report() const noexcept {
+    return {stage_, problem_, problem_detail_, measured_, condition_, fault_, fault_at_};
+  }
 
  private:
+  static constexpr std::int8_t kModeCyclicPosition = 8;
   void enter(NodeStage stage, Time now) noexcept;
   void refuse(NodeProblem problem, std::uint32_t detail, Time now) noexcept;
   void step_requests(Time now, can::TransmitQueue& tx) noexcept;
   void step_power(Time now, can::TransmitQueue& tx) noexcept;
-  void send_controlword(std::uint16_t controlword, Time now, can::TransmitQueue& tx) noexcept;
+  void step_homing(Time now, can::TransmitQueue& tx) noexcept;
+  void send_controlword(std::uint16_t controlword, Time now, can::TransmitQueue& tx,
+                        std::int8_t mode = kModeCyclicPosition) noexcept;
 
   NodeSettings settings_;
   NodeStage stage_ = NodeStage::absent;
   NodeProblem problem_ = NodeProblem::silent;
   std::uint32_t problem_detail_ = 0;
   NodeMeasurement measured_;
+  NodeCondition condition_;
+  std::uint16_t fault_ = 0;
+  Time fault_at_;
   std::uint8_t received_in_cycle_ = 0;  // bit 0 TPDO1, bit 1 TPDO2
   std::uint8_t received_ever_ = 0;
   std::uint16_t last_emergency_ = 0;
   bool wanted_ = false;
   int resets_left_ = 0;
+  bool ask_again_ = false;
+  HomingState homing_ = HomingState::none;
+  bool homing_started_ = false;  // the module has taken the start bit: what was attained before does not count
   bool heard_ = false;
   bool booted_ = false;
   can::NmtState nmt_state_ = can::NmtState::initialising;
@@ -115,6 +166,7 @@ class NodeProxy {
   Time stage_since_;
   Time last_command_;
   std::uint16_t controlword_ = 0;
+  std::int8_t mode_ = kModeCyclicPosition;
   can::SdoClient sdo_{0};
   can::Frame answer_;
   bool has_answer_ = false;

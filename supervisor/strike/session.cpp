@@ -59,9 +59,10 @@ const char* describe(Verdict verdict) noexcept {
   return "?";
 }
 
-HammerSession::HammerSession(const RobotDescription& robot, Supervisor& supervisor, const SessionOptions& options)
+HammerSession::HammerSession(const RobotDescription& robot, RobotPort& port, const SessionOptions& options)
     : robot_(robot),
-      supervisor_(supervisor),
+      port_(port),
+      chain_(robot),
       options_(options),
       estimator_(robot.task.assumed_contact_s),
       head_height_m_(robot.task.nail_height_m) {
@@ -77,22 +78,22 @@ void HammerSession::finish(Verdict verdict, std::string reason) {
 std::string HammerSession::bring_up_report() const {
   std::string text;
   for (int i = 0; i < robot_.dof(); ++i) {
-    const NodeProxy& node = supervisor_.node(i);
-    if (node.stage() == NodeStage::enabled && node.measured().follows_knots()) continue;
+    const NodeReport node = port_.report(i);
+    if (node.stage == NodeStage::enabled && node.measured.follows_knots()) continue;
     const JointDescription& joint = robot_.joints[static_cast<std::size_t>(i)];
     if (!text.empty()) text += "; ";
-    if (node.stage() == NodeStage::enabled) {
+    if (node.stage == NodeStage::enabled) {
       text += fmt::format("joint {} (node {}) is enabled but does not follow its set points: {}", joint.name,
-                          joint.node_id, words(can::name_of_code(node.measured().error_or_limit)));
+                          joint.node_id, words(can::name_of_code(node.measured.error_or_limit)));
       continue;
     }
-    text += fmt::format("joint {} (node {}) is {}: {}", joint.name, joint.node_id, describe(node.stage()),
-                        describe(node.problem()));
-    if (node.problem() == NodeProblem::fault) {
-      const auto code = static_cast<std::uint16_t>(node.problem_detail());
+    text += fmt::format("joint {} (node {}) is {}: {}", joint.name, joint.node_id, describe(node.stage),
+                        describe(node.problem));
+    if (node.problem == NodeProblem::fault) {
+      const auto code = static_cast<std::uint16_t>(node.problem_detail);
       text += fmt::format(", {} ({:04X}h)", words(can::name_of_code(code)), code);
-    } else if (node.problem_detail() != 0) {
-      text += fmt::format(" (0x{:08X})", node.problem_detail());
+    } else if (node.problem_detail != 0) {
+      text += fmt::format(" (0x{:08X})", node.problem_detail);
     }
   }
   return text;
@@ -111,19 +112,19 @@ StrikeRequest HammerSession::next_request() const {
   request.mode = options_.mode;
   request.formulation = options_.formulation;
   request.measure = options_.measure;
-  request.start = supervisor_.reference().q;
+  request.start = port_.reference_position();
   request.seed = options_.seed;
   return request;
 }
 
 void HammerSession::plan_next() {
   try {
-    plan_ = plan_strike(robot_, supervisor_.chain(), next_request());
+    plan_ = plan_strike(robot_, chain_, next_request());
   } catch (const PlanError& error) {
     finish(Verdict::plan_refused, error.what());
     return;
   }
-  const Refusal refusal = supervisor_.execute(*plan_);
+  const Refusal refusal = port_.execute(*plan_);
   if (refusal != Refusal::none) {
     finish(Verdict::plan_refused, fmt::format("the swing was refused: {}", describe(refusal)));
     return;
@@ -135,7 +136,7 @@ void HammerSession::learn() {
   SwingReport report;
   report.number = static_cast<int>(swings_.size()) + 1;
   report.plan = *plan_;
-  report.outcome = supervisor_.outcome();
+  report.outcome = port_.outcome();
   report.head_height_before_m = head_height_m_;
   report.restitution = estimator_.restitution();
   report.nail_mass_kg = estimator_.nail_mass_kg();
@@ -208,9 +209,9 @@ bool HammerSession::step(Time now) {
       if (!started_) {
         started_ = true;
         started_at_ = now;
-        supervisor_.enable(true);
+        port_.enable(true);
       }
-      if (supervisor_.activity() == Activity::holding) {
+      if (port_.activity() == Activity::holding) {
         state_ = SessionState::planning;
       } else if (now - started_at_ > options_.bring_up_timeout) {
         finish(Verdict::not_ready, fmt::format("bring-up did not end within {:.0f} s: {}",
@@ -221,8 +222,7 @@ bool HammerSession::step(Time now) {
       plan_next();
       break;
     case SessionState::swinging:
-      if (supervisor_.outcome().done &&
-          (supervisor_.activity() == Activity::holding || supervisor_.activity() == Activity::faulted)) {
+      if (port_.outcome().done && (port_.activity() == Activity::holding || port_.activity() == Activity::faulted)) {
         state_ = SessionState::learning;
       }
       break;

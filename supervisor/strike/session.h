@@ -53,7 +53,7 @@ struct SwingReport {
 class HammerSession {
  public:
   /// All must outlive the session.
-  HammerSession(const RobotDescription& robot, Supervisor& supervisor, const SessionOptions& options);
+  HammerSession(const RobotDescription& robot, RobotPort& port, const SessionOptions& options);
 
   /// Call after each step of the supervisor. Returns true when the session is over.
   bool step(Time now);
@@ -76,7 +76,8 @@ class HammerSession {
   [[nodiscard]] std::string bring_up_report() const;
 
   const RobotDescription& robot_;
-  Supervisor& supervisor_;
+  RobotPort& port_;
+  Chain chain_;
   SessionOptions options_;
   StrikeEstimator estimator_;
   SessionState state_ = SessionState::bring_up;
