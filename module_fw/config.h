@@ -145,6 +145,7 @@ struct ModuleConfig {
   Duration tick = milliseconds(1);         ///< control period
   Duration knot_period = milliseconds(4);  ///< nominal SYNC period
   std::uint32_t bit_rate = 1'000'000;
+  bool test_faults = false;  ///< object 2F00h exists: writing an emergency code provokes that fault
   SensingConfig sensing;
   FrictionConfig friction;
   ControlConfig control;

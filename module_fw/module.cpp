@@ -246,6 +246,10 @@ void Module::apply_parameters() noexcept {
 // ---------------------------------------------------------------------------------------------- communication
 
 can::Abort Module::may_write(can::ObjectId id, const can::Value&) noexcept {
+#ifndef MRR_NO_TEST_OBJECTS
+  // One provoked fault at a time: the reset clears the first cause.
+  if (id == can::ObjectId::test_fault && status_.fault != Emergency::none) return can::Abort::state;
+#endif
   // The loop is locked to this period while the joint is led.
   if (id == can::ObjectId::knot_period_us && machine_.state() == DriveState::operation_enabled)
     return can::Abort::state;

@@ -145,8 +145,8 @@ class Module final : private can::NodeApplication {
 
   // Control
   float load_torque_nm_ = 0.0F;
-  bool load_by_model_ = false;    ///< the torque sensor is lost
-  bool load_catches_up_ = false;  ///< on the way from one source to the other
+  bool load_by_model_ = false;                ///< the torque sensor is lost
+  bool load_catches_up_ = false;              ///< on the way from one source to the other
   Time model_torque_at_{-1'000'000'000'000};  ///< when 60B2h last came with a knot
   bool saturated_ = false;
   float max_torque_nm_ = 0.0F;

@@ -128,6 +128,11 @@ void PlantLink::answer(const OwnTick& tick, const AnswerPayload& payload, bool l
   (void)socket_.send(encode(Answer{self_, tick.number, leaving, payload}));
 }
 
+void PlantLink::advance_clock(Time own_now) noexcept {
+  own_now_ = std::max(own_now_, own_now);
+  started_ = true;
+}
+
 void PlantLink::forget() noexcept { joined_ = false; }
 
 }  // namespace mrr::plant_io

@@ -15,7 +15,7 @@ execute_process(
   COMMAND "${GXX}" -std=c++20 -O2 -mcpu=cortex-m4 -mthumb -mfpu=fpv4-sp-d16 -mfloat-abi=hard
     -ffreestanding -fno-exceptions -fno-rtti -fno-threadsafe-statics -fno-use-cxa-atexit -fno-math-errno
     -ffunction-sections -fdata-sections -ffp-contract=off -fno-tree-slp-vectorize
-    -Wall -Wextra -Wconversion -Wdouble-promotion -Wshadow -Werror
+    -Wall -Wextra -Wconversion -Wdouble-promotion -Wshadow -Werror -DMRR_NO_TEST_OBJECTS
     -I "${SOURCE_DIR}" -I "${PROJECT_BINARY_DIR}/generated" ${sources}
     -Wno-psabi -nostdlib -lc_nano -lgcc -Wl,--gc-sections -Wl,--fatal-warnings
     -Wl,-Map=${elf}.map -T "${SOURCE_DIR}/module_fw/targets/cortex_m/cortex_m4.ld" -o "${elf}"

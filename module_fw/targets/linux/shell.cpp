@@ -1,0 +1,268 @@
+#include "module_fw/targets/linux/shell.h"
+
+#include <fmt/format.h>
+#include <sched.h>
+#include <sys/mman.h>
+
+#include <cerrno>
+#include <cstring>
+#include <ctime>
+
+#include "can_protocol/messages.h"
+#include "module_fw/targets/linux/heap_watch.h"
+#include "module_fw/targets/linux/joint_bytes.h"
+
+namespace mrr::fw {
+
+namespace {
+
+constexpr Duration kPlantSilence = milliseconds(3000);  // lockstep: longer than the plant waits for a participant
+constexpr Duration kWaitSlice = milliseconds(200);      // a signal is noticed within it
+constexpr Duration kStopTime = milliseconds(3000);      // for a controlled stop and the brake, then exit anyway
+// Free-running, samples come over a general-purpose scheduler: an ordinary delay of it is not a broken sensor.
+constexpr Duration kSchedulerDelay = milliseconds(40);
+constexpr Duration kSampleGrace = milliseconds(5);    // how long a late tick waits for the sample that is late with it
+constexpr Duration kClockCheck = milliseconds(1000);  // the system's time may be stepped: look again
+constexpr Duration kPlantForgotten = milliseconds(200);
+
+struct CobIds {
+  StaticVector<can::CanFilter, can::CanSocket::kMaxFilters> filters;
+  std::uint64_t fingerprint = 14695981039346656037ULL;
+
+  void add(std::uint32_t id) noexcept {
+    id &= 0x7FFU;
+    fingerprint = (fingerprint ^ (id + 1U)) * 1099511628211ULL;
+    (void)filters.push_back({id});
+  }
+};
+
+/// Every identifier the node listens to at present.
+CobIds cob_ids(const can::ObjectDictionary& od, std::uint8_t node_id) noexcept {
+  constexpr std::uint32_t kNotValid = 0x8000'0000U;
+  CobIds ids;
+  ids.add(can::kNmtCobId);
+  ids.add(od.sync_cob_id);
+  ids.add(can::kSdoRequestCobId + node_id);
+  for (const std::uint32_t entry : od.consumer_heartbeat) {
+    const std::uint32_t watched = (entry >> 16U) & 0xFFU;
+    if (watched >= 1 && watched <= can::kMaxNodeId) ids.add(can::kHeartbeatCobId + watched);
+  }
+  for (const auto& rpdo : od.rpdo_communication) {
+    if ((rpdo.cob_id & kNotValid) == 0) ids.add(rpdo.cob_id);
+  }
+  return ids;
+}
+
+void sleep_until(Time t) noexcept {
+  const timespec at{t.ns / 1'000'000'000, t.ns % 1'000'000'000};
+  ::clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &at, nullptr);
+}
+
+/// What free-running takes for granted on a microcontroller and has to ask for here. Empty: granted.
+std::string ask_for_real_time() {
+  std::string refused;
+  if (::mlockall(MCL_CURRENT | MCL_FUTURE) != 0)
+    refused = fmt::format("memory is not locked ({})", std::strerror(errno));
+  sched_param parameters{};
+  parameters.sched_priority = 60;
+  if (::sched_setscheduler(0, SCHED_FIFO, &parameters) != 0) {
+    refused = fmt::format("{}{}no real-time priority ({})", refused, refused.empty() ? "" : ", ", std::strerror(errno));
+  }
+  return refused;
+}
+
+can::CanSocket open_bus(const ModuleConfig& config, const ShellOptions& options) {
+  const CobIds ids = cob_ids(Module(config).objects(), config.node_id);
+  return can::CanSocket::open(options.can, {.filters = {ids.filters.data(), ids.filters.size()}});
+}
+
+}  // namespace
+
+Shell::Shell(const ModuleConfig& config, const ShellOptions& options)
+    : config_(config), options_(options), can_(open_bus(config, options)) {
+  if (!options.plant.empty()) {
+    plant_.emplace(options.plant, static_cast<plant_io::Participant>(options.number - 1), config.configuration_hash);
+  }
+}
+
+void Shell::say(const std::string& sentence) const {
+  fmt::print(stderr, "mrr_module: joint {} ({}): {}\n", options_.number, options_.name, sentence);
+}
+
+void Shell::wait_for_plant(const volatile int& stop) {
+  bool said = false;
+  while (stop == 0) {
+    first_ = plant_->wait(kWaitSlice);
+    if (first_) return;
+    if (!said)
+      say(fmt::format("waiting for the plant on {}; start mrr_plant --plant {}", options_.plant, options_.plant));
+    said = true;
+  }
+}
+
+void Shell::run(const volatile int& stop) {
+  say(fmt::format("node {} on {}", config_.node_id, options_.can));
+  Pace pace = options_.pace;
+  if (!plant_) {
+    say("no --plant was given, so there is no hardware behind it: it answers on the bus and will not enable");
+    pace = Pace::realtime;
+  } else if (pace != Pace::realtime) {
+    wait_for_plant(stop);
+    if (!first_) return;
+    if (pace == Pace::lockstep && !first_->lockstep)
+      say("the plant is free-running, not in lockstep; following the plant");
+    pace = first_->lockstep ? Pace::lockstep : Pace::realtime;
+    if (options_.verbose) say(pace == Pace::lockstep ? "in lockstep with the plant" : "free-running");
+  }
+  if (pace == Pace::realtime) {
+    if (plant_) {
+      config_.sensing.encoder_timeout += kSchedulerDelay;
+      config_.sensing.torque_timeout += kSchedulerDelay;
+      config_.sensing.current_timeout += kSchedulerDelay;
+    }
+    const std::string refused = ask_for_real_time();
+    if (!refused.empty())
+      say(fmt::format("{}: ticks will come later at times; allow it with CAP_SYS_NICE and CAP_IPC_LOCK", refused));
+  }
+  module_ = std::make_unique<Module>(config_);
+  cob_ids_ = cob_ids(module_->objects(), config_.node_id).fingerprint;
+  can_.discard_received();
+  forbid_heap();
+  Next next = pace == Pace::lockstep ? Next::lockstep : Next::clock;
+  while (next != Next::done) next = next == Next::lockstep ? run_lockstep(stop) : run_on_clock(stop);
+  allow_heap();
+}
+
+bool Shell::tick(Time now, const RawSensors& sensors, std::span<const can::ReceivedFrame> received,
+                 bool stopping) noexcept {
+  if (stopping && !stopping_) {
+    // The core's own way to stop in order: as if NMT "stop" had come. An enabled joint stops, holds, and brakes.
+    stopping_ = true;
+    stopping_since_ = now;
+    received_.clear();
+    for (const can::ReceivedFrame& f : received) (void)received_.push_back(f);
+    (void)received_.push_back({can::nmt_frame(can::NmtCommand::stop, config_.node_id), now});
+    received = {received_.data(), received_.size()};
+  } else if (stopping_) {
+    received = {};  // nobody shall start it again
+  }
+  now_ = now;
+  tx_.clear();
+  module_->step(now, sensors, received, actuator_, tx_);
+  if (!tx_.empty()) can_.send({tx_.data(), tx_.size()});
+  follow_cob_ids();
+  ++ticks_;
+  const bool safe = !actuator_.power_stage_enabled && !actuator_.brake_release;
+  return !(stopping_ && now > stopping_since_ && (safe || now - stopping_since_ > kStopTime));
+}
+
+void Shell::follow_cob_ids() noexcept {
+  const CobIds ids = cob_ids(module_->objects(), config_.node_id);
+  if (ids.fingerprint == cob_ids_) return;
+  if (can_.set_filters({ids.filters.data(), ids.filters.size()})) cob_ids_ = ids.fingerprint;
+}
+
+plant_io::AnswerPayload Shell::answer() noexcept {
+  const ModuleStatus& status = module_->status();
+  if (status.law != Law::passive) wholly_passive_ = false;
+  if (status.blend_ended_at != blend_seen_) {
+    blend_seen_ = status.blend_ended_at;
+    wholly_passive_ = status.law == Law::passive;
+  }
+  return encode(joint_answer(actuator_, status, wholly_passive_));
+}
+
+Shell::Next Shell::run_lockstep(const volatile int& stop) {
+  std::optional<plant_io::OwnTick> at = first_;
+  Time silent_since;
+  while (true) {
+    if (!at) {
+      const Time before = can::monotonic_now();
+      if (silent_since.ns == 0) silent_since = before;
+      at = plant_->wait(kWaitSlice);
+    }
+    if (!at) {
+      const bool stopping = stop != 0;
+      if (!stopping && can::monotonic_now() - silent_since < kPlantSilence) continue;
+      say("the plant is silent: going on by the wall clock without sensors");
+      return Next::clock;
+    }
+    silent_since = {};
+    const plant_io::OwnTick now = *at;
+    at.reset();
+    const RawSensors sensors = decode_sensors(now.sensors);
+    const bool on = tick(now.now, sensors, plant_->robot_frames(can_, now), stop != 0);
+    plant_->answer(now, answer(), !on);
+    if (!on) return Next::done;
+    if (now.ending) {
+      say("the plant has stopped: going on by the wall clock without sensors");
+      plant_->forget();
+      return Next::clock;
+    }
+  }
+}
+
+Shell::Next Shell::run_on_clock(const volatile int& stop) {
+  // Own clock: CLOCK_MONOTONIC, or what simulated time became when the plant went away.
+  const Time start = can::monotonic_now();
+  const Duration shift = now_.ns != 0 ? now_ - start : Duration{};
+  Time scheduled = start;
+  Time clock_checked = start;
+  Time sampled = start;
+  StaticVector<can::ReceivedFrame, plant_io::TickInbox::kCapacity> shifted;
+  while (true) {
+    scheduled += config_.tick;
+    sleep_until(scheduled);
+    const Time woke = can::monotonic_now();
+    lateness_.add(woke - scheduled);
+    const std::int64_t missed = (woke - scheduled) / config_.tick;
+    overruns_ += missed;
+    scheduled += config_.tick * missed;
+
+    std::optional<plant_io::OwnTick> at;
+    if (plant_) {
+      plant_->advance_clock(now_);
+      at = missed > 0 && plant_->joined() ? plant_->wait(kSampleGrace) : plant_->poll();
+      if (at && at->lockstep && !stopping_ && ticks_ > 0) {
+        // The plant is back, in lockstep: its time is ours again.
+        first_ = at;
+        say("the plant is back");
+        return Next::lockstep;
+      }
+      if (at) sampled = woke;
+      if (!at) ++without_sample_;
+      if (!at && woke - sampled > kPlantForgotten) plant_->forget();
+    }
+    if (woke - clock_checked > kClockCheck) {
+      can_.measure_clock_offset();
+      clock_checked = woke;
+    }
+    inbox_.fill(can_, scheduled);
+    std::span<const can::ReceivedFrame> frames = inbox_.take_as_received(scheduled);
+    if (shift.ns != 0) {
+      shifted.clear();
+      for (const can::ReceivedFrame& f : frames) (void)shifted.push_back({f.frame, f.at + shift});
+      frames = {shifted.data(), shifted.size()};
+    }
+    const RawSensors sensors = at ? decode_sensors(at->sensors) : RawSensors{};
+    const bool on = tick(scheduled + shift, sensors, frames, stop != 0);
+    if (at) plant_->answer(*at, answer(), !on);
+    if (!on) return Next::done;
+  }
+}
+
+void Shell::print_statistics() const {
+  const can::CanSocketStatistics& bus = can_.statistics();
+  say(fmt::format("{} ticks; frames received {}, sent {}, dropped when sending {}, lost when receiving {}", ticks_,
+                  bus.received, bus.sent, bus.send_dropped, bus.receive_overflow));
+  if (lateness_.count() > 0) {
+    say(fmt::format(
+        "lateness of {} ticks on the clock: p50 {:.0f} us, p99 {:.0f} us, max {:.0f} us; {} left out; {} "
+        "without a new sample",
+        lateness_.count(), lateness_.percentile(0.5).seconds() * 1e6, lateness_.percentile(0.99).seconds() * 1e6,
+        lateness_.max().seconds() * 1e6, overruns_, without_sample_));
+  }
+  say(fmt::format("allocations after start: {}", forbidden_allocations()));
+}
+
+}  // namespace mrr::fw
