@@ -174,7 +174,7 @@ bool Planner::select(Blow& blow) const {
     }
     if (load.decision != ModeDecision::active) candidates |= 1U << i;
   }
-  if (request_.mode == PassiveMode::planned && !blow.why.empty()) return false;
+  if (!request_.passive && request_.mode == PassiveMode::planned && !blow.why.empty()) return false;
 
   std::array<double, kMaxJoints> rated{};
   for (int i = 0; i < dof(); ++i) rated[at(i)] = blow.loads[at(i)].limits.rated_nm_s;
@@ -200,21 +200,24 @@ bool Planner::select(Blow& blow) const {
     blow.selections.push_back(c);
   };
   const std::uint32_t all = (1U << dof()) - 1U;
-  switch (request_.mode) {
-    case PassiveMode::never:
-      weigh_selection(0);
-      break;
-    case PassiveMode::always:
-      weigh_selection(all);
-      break;
-    case PassiveMode::planned:
-      // Every subset of the candidates, the empty one first.
-      for (std::uint32_t subset = 0;; subset = (subset - candidates) & candidates) {
-        weigh_selection(subset);
-        if (subset == candidates) break;
-      }
-      break;
-  }
+  if (request_.passive) {
+    weigh_selection(*request_.passive);
+  } else
+    switch (request_.mode) {
+      case PassiveMode::never:
+        weigh_selection(0);
+        break;
+      case PassiveMode::always:
+        weigh_selection(all);
+        break;
+      case PassiveMode::planned:
+        // Every subset of the candidates, the empty one first.
+        for (std::uint32_t subset = 0;; subset = (subset - candidates) & candidates) {
+          weigh_selection(subset);
+          if (subset == candidates) break;
+        }
+        break;
+    }
 
   // Whoever would carry more than rated while active goes passive if anything helps; after that the lightest load wins.
   const auto better = [](const SelectionCandidate& a, const SelectionCandidate& b) {
@@ -747,6 +750,25 @@ JointVector unit_strike_velocity(const Jacobian& J_h, const Eigen::Vector3d& nor
 StrikePlan plan_strike(const RobotDescription& robot, const Chain& chain, const StrikeRequest& request) {
   validate(robot, request);
   return Planner(robot, chain, request).plan();
+}
+
+PredictInput predict_input(const StrikePlan& plan, const ContactLaw& contact) noexcept {
+  PredictInput in;
+  in.q = plan.q_impact;
+  in.qd = plan.qd_impact;
+  in.normal = plan.normal;
+  for (Eigen::Index i = 0; i < in.q.size(); ++i) {
+    in.joints[at(static_cast<int>(i))] = (plan.passive >> i & 1U) != 0 ? JointHold::free : JointHold::controlled;
+  }
+  in.contact = contact;
+  const double fastest = largest_magnitude(plan.qd_impact);
+  if (fastest > 0.0) in.reference.travel_s = plan.back_swing_rad / fastest;
+  in.reference.approach_s = plan.contact_time.seconds();
+  in.reference.stop_s = (plan.stop_time - plan.contact_time).seconds();
+  in.reference.return_s = (plan.strike.duration() - plan.stop_time).seconds();
+  in.switch_lead_s = (plan.contact_time - plan.switch_time).seconds();
+  in.passive_s = plan.passive != 0 ? plan.passive_time.seconds() : 1.0;
+  return in;
 }
 
 std::string report(const RobotDescription& robot, const StrikePlan& plan) {

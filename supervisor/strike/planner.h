@@ -2,12 +2,14 @@
 // in the plan, for printing. May touch common/, supervisor/model, supervisor/impact. Not for the cycle: allocates.
 #pragma once
 
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "common/robot/errors.h"
 #include "supervisor/impact/external.h"
 #include "supervisor/impact/limits.h"
+#include "supervisor/impact/prediction.h"
 #include "supervisor/model/chain.h"
 #include "supervisor/strike/inverse_kinematics.h"
 #include "supervisor/strike/trajectory.h"
@@ -37,6 +39,7 @@ struct StrikeRequest {
   double contact_duration_s = 0.05;                               ///< t_s, > 0
   double follow_through_m = 0.005;                                ///< how far past the head the reference goes, >= 0
   PassiveMode mode = PassiveMode::planned;
+  std::optional<std::uint32_t> passive;  ///< this selection and no other, bit i = joint i; `mode` is then not looked at
   Formulation formulation = Formulation::corrected;
   StrikeMeasure measure = StrikeMeasure::load_ratio;
   RotorModel rotors = RotorModel::sym;
@@ -131,6 +134,9 @@ struct StrikePlan {
 /// cannot move that way. `qd_limits`: > 0, rad/s.
 [[nodiscard]] JointVector unit_strike_velocity(const Jacobian& J_h, const Eigen::Vector3d& normal,
                                                const JointVector& qd_limits) noexcept;
+
+/// A planned blow as the prediction models take it.
+[[nodiscard]] PredictInput predict_input(const StrikePlan& plan, const ContactLaw& contact) noexcept;
 
 /// The plan as text for a terminal: every number above, several lines.
 [[nodiscard]] std::string report(const RobotDescription& robot, const StrikePlan& plan);

@@ -1,0 +1,343 @@
+// How well blows are predicted: seeded strikes all over the workspace, each run in the emulator with the real modules,
+// supervisor and wire, each predicted by every model. One row per strike and joint, as CSV;
+// scripts/strike_table makes the table of docs/impulse_prediction.md from it.
+
+#include <fmt/format.h>
+#include <fmt/ostream.h>
+
+#include <CLI/CLI.hpp>
+#include <chrono>
+#include <cmath>
+#include <fstream>
+#include <map>
+#include <numbers>
+#include <optional>
+#include <sstream>
+#include <string>
+
+#include "common/core/random.h"
+#include "common/robot/errors.h"
+#include "sim_vcan/world/world.h"
+#include "supervisor/impact/prediction.h"
+
+namespace {
+
+using namespace mrr;  // NOLINT: a program of its own
+
+constexpr std::array kBoards{"hardwood", "styrofoam"};
+constexpr std::size_t kTruthPerJoint = 3;  // impulse, peak, before
+
+struct Strike {
+  int number = 0;
+  std::string board;
+  RobotDescription robot;  // with the nail of this strike
+  sim::PlantDescription plant;
+  sup::StrikeRequest request;
+  sup::StrikePlan plan;
+};
+
+std::size_t at(int i) { return static_cast<std::size_t>(i); }
+
+/// Draws a strike; none if the planner refuses it.
+std::optional<Strike> draw(const RobotDescription& robot, int number) {
+  Random random(static_cast<std::uint64_t>(number) + 1, 77);
+  Strike s;
+  s.number = number;
+  s.robot = robot;
+  s.board = kBoards[static_cast<std::size_t>(number) % kBoards.size()];
+  s.plant = sim::load_plant(robot, std::filesystem::path(MRR_SOURCE_DIR) / "robots" / "boards" / (s.board + ".yaml"));
+  const sup::Chain chain(robot);
+  const int n = robot.dof();
+  sup::JointVector q(n);
+  for (int i = 0; i < n; ++i) {
+    const JointLimits& l = robot.joints[at(i)].limits;
+    q[i] = random.uniform(l.lower_rad + 0.1, l.upper_rad - 0.1);
+  }
+  const double height_m = s.board == "hardwood" ? s.plant.board.nail_length_m : random.uniform(0.01, 0.04);
+  const sup::Pose face = chain.face_pose(q);
+  const Eigen::Vector3d normal = -face.rotation.col(2);
+  s.robot.task.normal = normal;
+  s.robot.task.nail_position_m = face.position_m - height_m * normal;
+  s.robot.task.nail_height_m = height_m;
+  s.request.head_position_m = face.position_m;
+  s.request.normal = normal;
+  s.request.board_distance_m = height_m;
+  s.request.contact_duration_s = robot.task.assumed_contact_s;
+  s.request.follow_through_m = random.uniform(0.003, s.board == "hardwood" ? 0.008 : 0.02);
+  s.request.speed_share = random.uniform(0.1, 1.0);
+  std::uint32_t passive = 0;
+  for (int i = 0; i < n; ++i) {
+    if (random.uniform() < 0.5) passive |= 1U << i;
+  }
+  s.request.passive = passive;
+  // From a little above the nail, so that the approach is a short one.
+  const sup::JointVector limits = sup::JointVector::Ones(n);
+  const sup::JointVector away = -sup::unit_strike_velocity(chain.jacobian(q), normal, limits);
+  s.request.start = q + 0.1 * away;
+  for (int i = 0; i < n; ++i) {
+    const JointLimits& l = robot.joints[at(i)].limits;
+    if (!(s.request.start[i] > l.lower_rad && s.request.start[i] < l.upper_rad)) return std::nullopt;
+  }
+  try {
+    s.plan = sup::plan_strike(s.robot, chain, s.request);
+  } catch (const PlanError&) {
+    return std::nullopt;
+  }
+  return s;
+}
+
+struct Truth {
+  std::string outcome;  // "hit", or why it does not count
+  double contact_s = 0.0, impulse = 0.0, peak_force = 0.0, penetration = 0.0, speed = 0.0, lateral = 0.0;
+  double early_s = 0.0;       // contact before the planned instant
+  std::vector<double> joint;  // kTruthPerJoint each
+};
+
+Truth simulate(const Strike& s) {
+  Truth truth;
+  truth.joint.assign(at(s.robot.dof()) * kTruthPerJoint, 0.0);
+  sim::WorldOptions options;
+  options.seed = static_cast<std::uint64_t>(s.number) + 1;
+  sim::World world(s.robot, s.plant, options);
+  const sup::JointVector& start = s.request.start;
+  world.reset({start.data(), at(s.robot.dof())}, s.robot.task.nail_height_m);
+  sup::Supervisor& supervisor = world.supervisor();
+  supervisor.enable(true);
+  while (supervisor.activity() != sup::Activity::holding) {
+    world.step();
+    if (world.now() > Time{} + milliseconds(8000)) {
+      truth.outcome = "not ready";
+      return truth;
+    }
+  }
+  // The arm sags a little as the brakes let go: the same blow, approached from where it is.
+  sup::StrikeRequest request = s.request;
+  request.start = supervisor.reference().q;
+  sup::StrikePlan plan;
+  try {
+    plan = sup::plan_strike(s.robot, supervisor.chain(), request);
+  } catch (const PlanError&) {
+    truth.outcome = "refused by the planner from where the arm is";
+    return truth;
+  }
+  if (!((plan.q_impact - s.plan.q_impact).cwiseAbs().maxCoeff() < 1e-5 && plan.passive == s.plan.passive &&
+        std::abs(plan.speed_m_s - s.plan.speed_m_s) < 1e-6)) {
+    truth.outcome = "planned differently from where the arm is";
+    return truth;
+  }
+  if (const sup::Refusal refusal = supervisor.execute(plan); refusal != sup::Refusal::none) {
+    truth.outcome = sup::describe(refusal);
+    return truth;
+  }
+  std::vector<double> before(at(s.robot.dof()));
+  std::vector<double> recorded = before;
+  const Time until = world.now() + plan.approach.duration() + plan.strike.duration() + milliseconds(8000);
+  while (!supervisor.outcome().done && world.now() < until) {
+    world.step();
+    if (world.plant().contact_count() == 0) {
+      const sim::PlantTruth now = world.plant().truth();
+      for (std::size_t i = 0; i < before.size(); ++i) before[i] = now.transmission_torque_nm[i];
+    }
+  }
+  const sim::ContactRecord* blow = nullptr;
+  for (const sim::ContactRecord& c : world.plant().contacts()) {
+    if (blow == nullptr || c.impulse_n_s > blow->impulse_n_s) blow = &c;
+  }
+  if (supervisor.outcome().aborted != sup::AbortReason::none) {
+    truth.outcome = sup::describe(supervisor.outcome().aborted);
+  } else if (blow == nullptr) {
+    truth.outcome = "nothing hit";
+  } else {
+    truth.outcome = "hit";
+  }
+  if (blow == nullptr) return truth;
+  truth.contact_s = blow->duration().seconds();
+  truth.impulse = blow->impulse_n_s;
+  truth.peak_force = blow->peak_force_n;
+  truth.penetration = blow->penetration_m;
+  truth.speed = blow->speed_at_start_m_s;
+  truth.lateral = blow->lateral_m;
+  truth.early_s = (supervisor.outcome().planned_contact - blow->start).seconds();
+  for (std::size_t i = 0; i < before.size(); ++i) {
+    truth.joint[kTruthPerJoint * i] = blow->transmission_impulse_nm_s[i];
+    truth.joint[kTruthPerJoint * i + 1] = blow->peak_transmission_torque_nm[i];
+    truth.joint[kTruthPerJoint * i + 2] = before[i];
+  }
+  return truth;
+}
+
+/// Emulated strikes, kept in a file so that a model can be changed without emulating again.
+class Archive {
+ public:
+  explicit Archive(const std::string& path) : path_(path) {
+    if (path.empty()) return;
+    std::ifstream in(path);
+    for (std::string line; std::getline(in, line);) {
+      std::istringstream fields(line);
+      std::string key, outcome;
+      std::getline(fields, key, ';');
+      std::getline(fields, outcome, ';');
+      Truth t;
+      t.outcome = outcome;
+      fields >> t.contact_s >> t.impulse >> t.peak_force >> t.penetration >> t.speed >> t.lateral >> t.early_s;
+      for (double x = 0.0; fields >> x;) t.joint.push_back(x);
+      kept_[key] = t;
+    }
+    out_.open(path, std::ios::app);
+  }
+  Truth get(const std::string& robot, const Strike& s) {
+    std::string key = fmt::format("{} {} {:.12g} {}", robot, s.number, s.plan.speed_m_s, s.plan.passive);
+    for (const double x : s.plan.q_impact) key += fmt::format(" {:.10g}", x);
+    if (const auto it = kept_.find(key); it != kept_.end()) return it->second;
+    const Truth t = simulate(s);
+    if (out_.is_open()) {
+      fmt::print(out_, "{};{};{:.17g} {:.17g} {:.17g} {:.17g} {:.17g} {:.17g} {:.17g}", key, t.outcome, t.contact_s,
+                 t.impulse, t.peak_force, t.penetration, t.speed, t.lateral, t.early_s);
+      for (const double x : t.joint) fmt::print(out_, " {:.17g}", x);
+      fmt::print(out_, "\n");
+      out_.flush();
+    }
+    return t;
+  }
+
+ private:
+  std::string path_;
+  std::map<std::string, Truth> kept_;
+  std::ofstream out_;
+};
+
+sup::ContactLaw law_of(const Strike& s) {
+  const sim::BoardDescription& b = s.plant.board;  // as the descriptions say it; the emulated one is drawn around it
+  sup::ContactLaw law;
+  law.face_stiffness_n_m = s.plant.face.stiffness_n_m;
+  law.face_damping_s_m = s.plant.face.damping_s_m;
+  law.nail_resistance_n =
+      b.nail_resistance_n + b.nail_resistance_slope_n_m * (b.nail_length_m - s.robot.task.nail_height_m);
+  law.nail_resistance_slope_n_m = b.nail_resistance_slope_n_m;
+  law.nail_damping_n_s_m = b.nail_damping_n_s_m;
+  law.nail_room_m = s.robot.task.nail_height_m;
+  return law;
+}
+
+struct Model {
+  std::string name;
+  sup::Prediction prediction;
+};
+
+std::vector<Model> predict_all(const sup::StrikeArm& arm, const Strike& s) {
+  const sup::PredictInput law = sup::predict_input(s.plan, law_of(s));
+  std::vector<Model> models;
+  // As before anything is known of the nail: e = 1, rigid board, the task's contact. All joints free, as (30) has it,
+  // printed and corrected; and with active joints as extra inertia.
+  sup::PredictInput assumed = law;
+  assumed.restitution = 1.0;
+  assumed.contact_s = s.robot.task.assumed_contact_s;
+  sup::PredictInput all_free = assumed;
+  all_free.joints.fill(sup::JointHold::free);
+  sup::PredictInput printed = all_free;
+  printed.rotor_model = sup::RotorModel::lower;
+  printed.formulation = sup::Formulation::as_printed;
+  using sup::PredictionModel;
+  models.push_back({"printed", sup::predict(arm, printed, PredictionModel::instant)});
+  models.push_back({"free", sup::predict(arm, all_free, PredictionModel::instant)});
+  models.push_back({"assumed", sup::predict(arm, assumed, PredictionModel::instant)});
+  // With the contact law known.
+  sup::PredictInput free_law = law;
+  free_law.joints.fill(sup::JointHold::free);
+  models.push_back({"free_law", sup::predict(arm, free_law, PredictionModel::instant)});
+  models.push_back({"instant", sup::predict(arm, law, PredictionModel::instant)});
+  models.push_back({"finite", sup::predict(arm, law, PredictionModel::finite_time)});
+  models.push_back({"resolved", sup::predict(arm, law, PredictionModel::resolved)});
+  return models;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  CLI::App app{"Seeded strikes in the emulator beside their predictions."};
+  int strikes = 600;
+  std::string robot_name = "mrr3";
+  std::string out_path = "strikes.csv";
+  std::string archive_path;
+  app.add_option("--strikes", strikes, "how many that count")->capture_default_str();
+  app.add_option("--robot", robot_name, "folder under robots/")->capture_default_str();
+  app.add_option("--out", out_path, "CSV to write")->capture_default_str();
+  app.add_option("--archive", archive_path, "keeps emulated strikes from run to run");
+  CLI11_PARSE(app, argc, argv);
+
+  const RobotDescription robot = load_robot(std::filesystem::path(MRR_SOURCE_DIR) / "robots" / robot_name);
+  const sup::StrikeArm arm(robot);
+  Archive archive(archive_path);
+  std::ofstream out(out_path);
+  bool header = false;
+  int counted = 0;
+  std::map<std::string, int> others;
+  int number = 0;
+  for (; counted < strikes; ++number) {
+    const std::optional<Strike> s = draw(robot, number);
+    if (!s) {
+      ++others["refused by the planner"];
+      continue;
+    }
+    const Truth truth = archive.get(robot_name, *s);
+    if (truth.outcome != "hit") {
+      ++others[truth.outcome];
+      continue;
+    }
+    ++counted;
+    const std::vector<Model> models = predict_all(arm, *s);
+    if (!header) {
+      header = true;
+      fmt::print(out,
+                 "strike,robot,board,joint,passive,mask,speed_share,rated,lever,q,qd,contact_s,impulse,peak_force,"
+                 "penetration,speed,lateral,early_s,height,follow,stop_s,true_impulse,true_peak,true_before");
+      for (const Model& m : models) {
+        fmt::print(out, ",{0}_P,{0}_t,{0}_pen,{0}_impulse,{0}_peak,{0}_before", m.name);
+      }
+      fmt::print(out, "\n");
+    }
+    const sup::Jacobian J = arm.chain.jacobian(s->plan.q_impact);
+    const sup::JointVector lever = J.topRows<3>().transpose() * s->plan.normal;
+    for (int i = 0; i < robot.dof(); ++i) {
+      fmt::print(out,
+                 "{},{},{},{},{},{},{:.4f},{},{:.5f},{:.5f},{:.5f},{:.5f},{:.5f},{:.3f},{:.5f},{:.5f},{:.5f},{:.5f},{:."
+                 "4f},{:.4f},{:.4f},{:.6f},{:.5f},{:.5f}",
+                 s->number, robot_name, s->board, i + 1, s->plan.passive >> i & 1U, s->plan.passive,
+                 s->request.speed_share, robot.joints[at(i)].transmission.rated_nm, lever[i], s->plan.q_impact[i],
+                 s->plan.qd_impact[i], truth.contact_s, truth.impulse, truth.peak_force, truth.penetration, truth.speed,
+                 truth.lateral, truth.early_s, s->robot.task.nail_height_m, s->plan.follow_through_m,
+                 (s->plan.stop_time - s->plan.contact_time).seconds(), -truth.joint[kTruthPerJoint * at(i)],
+                 truth.joint[kTruthPerJoint * at(i) + 1], -truth.joint[kTruthPerJoint * at(i) + 2]);
+      for (const Model& m : models) {
+        const sup::Prediction& p = m.prediction;
+        fmt::print(out, ",{:.5f},{:.5f},{:.5f},{:.6f},{:.5f},{:.5f}", p.impulse_n_s, p.contact_s, p.penetration_m,
+                   p.axis_impulse_nm_s[i], p.peak_torque_nm[i], p.carried_before_nm[i]);
+      }
+      fmt::print(out, "\n");
+    }
+  }
+  fmt::print("{} strikes of {} drawn", counted, number);
+  for (const auto& [why, count] : others) fmt::print("; {}: {}", why, count);
+  fmt::print("\n");
+  // What the resolved model costs, here and now.
+  const std::optional<Strike> one = [&] {
+    for (int k = 0;; ++k) {
+      if (auto s = draw(robot, k)) return s;
+    }
+  }();
+  const sup::PredictInput input = sup::predict_input(one->plan, law_of(*one));
+  for (const auto model :
+       {sup::PredictionModel::instant, sup::PredictionModel::finite_time, sup::PredictionModel::resolved}) {
+    double best = 1e9;
+    for (int round = 0; round < 30; ++round) {
+      const auto begin = std::chrono::steady_clock::now();
+      double sum = 0.0;
+      for (int k = 0; k < 10; ++k) sum += sup::predict(arm, input, model).impulse_n_s;
+      const double us =
+          std::chrono::duration<double, std::micro>(std::chrono::steady_clock::now() - begin).count() / 10.0;
+      if (std::isfinite(sum)) best = std::min(best, us);
+    }
+    fmt::print("{}: {:.2f} us\n", sup::describe(model), best);
+  }
+  return 0;
+}

@@ -1,0 +1,130 @@
+#!/usr/bin/env python3
+"""Tables and picture of docs/impulse_prediction.md from the CSV of strike_campaign.
+
+    strike_table.py CSV... [--picture FILE.svg] [--models NAME,...]
+
+The error of a prediction is relative to the larger of the true value and a floor: a share of what the joint's rated
+torque amounts to (impulse: times the contact time). Without a floor a joint that carries nothing would count as wrong
+by any percentage.
+"""
+import argparse
+import csv
+import math
+
+FLOOR = 0.1  # of the rated torque
+MODELS = "printed free assumed free_law instant finite resolved".split()
+
+
+def load(paths):
+    rows = []
+    for path in paths:
+        with open(path, newline="") as file:
+            for row in csv.DictReader(file):
+                rows.append({k: v if k in ("board", "robot") else float(v) for k, v in row.items()})
+    return rows
+
+
+def quantile(values, share):
+    values = sorted(values)
+    if not values:
+        return math.nan
+    x = share * (len(values) - 1)
+    low = int(x)
+    high = min(low + 1, len(values) - 1)
+    return values[low] + (x - low) * (values[high] - values[low])
+
+
+def error(row, model, what):
+    rated = row["rated"]
+    if what == "impulse":
+        true, floor = row["true_impulse"], FLOOR * rated * row["contact_s"]
+    else:
+        true, floor = row["true_peak"], FLOOR * rated
+    return abs(row[f"{model}_{what}"] - true) / max(abs(true), floor)
+
+
+def blow_error(row, model):
+    return abs(row[f"{model}_P"] - row["impulse"]) / row["impulse"]
+
+
+def cell(values):
+    return f"{100 * quantile(values, .5):.0f} / {100 * quantile(values, .95):.0f}" if values else "-"
+
+
+def table(rows, models):
+    yield "| joints | | " + " | ".join(models) + " |"
+    yield "| --- | --- |" + " --- |" * len(models)
+    joints = sorted({int(r["joint"]) for r in rows})
+    groups = [("all", rows)]
+    for board in ("hardwood", "styrofoam"):
+        for passive in (0, 1):
+            groups.append((f"{board}, {'passive' if passive else 'active'}",
+                           [r for r in rows if r["board"] == board and r["passive"] == passive]))
+    for joint in joints:
+        for passive in (0, 1):
+            groups.append((f"joint {joint}, {'passive' if passive else 'active'}",
+                           [r for r in rows if r["joint"] == joint and r["passive"] == passive]))
+    for what in ("impulse", "peak"):
+        for name, group in groups:
+            cells = [cell([error(r, m, what) for r in group]) for m in models]
+            yield f"| {name} ({len(group)}) | {what} | " + " | ".join(cells) + " |"
+    blows = [r for r in rows if r["joint"] == 1]
+    for board in ("hardwood", "styrofoam"):
+        group = [r for r in blows if r["board"] == board]
+        yield f"| {board} ({len(group)}) | blow | " + " | ".join(
+            cell([blow_error(r, m) for r in group]) for m in models) + " |"
+
+
+def picture(rows, models, path):
+    """Cumulative distributions of the errors as SVG."""
+    width, height, left, top = 360, 260, 50, 24
+    colours = ["#999", "#c60", "#e90", "#7a7", "#09c", "#639", "#000"]
+    parts = []
+    for k, what in enumerate(("impulse", "peak")):
+        x0 = left + k * (width + 70)
+        parts.append(f'<text x="{x0}" y="{top - 8}">error of {"axis impulse" if what == "impulse" else "peak torque"}, %</text>')
+        parts.append(f'<rect x="{x0}" y="{top}" width="{width}" height="{height}" fill="none" stroke="#888"/>')
+        for tick in (1, 3, 10, 30, 100):
+            x = x0 + width * math.log10(tick / 1) / math.log10(200)
+            parts.append(f'<line x1="{x:.1f}" y1="{top}" x2="{x:.1f}" y2="{top + height}" stroke="#ddd"/>'
+                         f'<text x="{x - 8:.1f}" y="{top + height + 16}">{tick}</text>')
+        for share in (0.5, 0.95):
+            y = top + height * (1 - share)
+            parts.append(f'<line x1="{x0}" y1="{y:.1f}" x2="{x0 + width}" y2="{y:.1f}" stroke="#ddd"/>'
+                         f'<text x="{x0 - 34}" y="{y + 4:.1f}">{100 * share:.0f} %</text>')
+        for m, model in enumerate(models):
+            errors = sorted(error(r, model, what) for r in rows)
+            points = []
+            for i, e in enumerate(errors):
+                x = min(max(100 * e, 1), 200)
+                points.append(f"{x0 + width * math.log10(x) / math.log10(200):.1f},"
+                              f"{top + height * (1 - (i + 1) / len(errors)):.1f}")
+            parts.append(f'<polyline points="{" ".join(points[::max(1, len(points) // 200)])}" fill="none" '
+                         f'stroke="{colours[m % len(colours)]}" stroke-width="1.6"/>')
+    for m, model in enumerate(models):
+        y = top + height + 38
+        x = left + 110 * m
+        parts.append(f'<line x1="{x}" y1="{y - 4}" x2="{x + 18}" y2="{y - 4}" stroke="{colours[m % len(colours)]}" '
+                     f'stroke-width="2"/><text x="{x + 22}" y="{y}">{model}</text>')
+    with open(path, "w") as file:
+        file.write(f'<svg xmlns="http://www.w3.org/2000/svg" width="{2 * width + 140}" height="{height + 80}" '
+                   'font-family="sans-serif" font-size="12"><rect width="100%" height="100%" fill="white"/>'
+                   + "".join(parts) + "</svg>\n")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("csv", nargs="+")
+    parser.add_argument("--picture")
+    parser.add_argument("--models", default=",".join(MODELS))
+    options = parser.parse_args()
+    models = options.models.split(",")
+    rows = load(options.csv)
+    print(f"Median / 95th percentile of |error|, %. Floor {FLOOR:.0%} of rated.\n")
+    print("\n".join(table(rows, models)))
+    if options.picture:
+        picture(rows, models, options.picture)
+
+
+if __name__ == "__main__":
+    main()
