@@ -204,18 +204,12 @@ void Node::handle_heartbeat(const Frame& f, Time now) noexcept {
 
 void Node::handle_rpdo(std::size_t i, const Frame& f, Time now) noexcept {
   if (state_ != NmtState::operational) return reject();
-  const PdoMapping& map = od_.rpdo_mapping[i];
+  const Layout& layout = rpdo_layout_[i];
   Rpdo& r = rpdo_[i];
 
   // The whole PDO is judged before any of it has an effect.
-  std::size_t total = 0;
-  bool acceptable = map.count > 0 && map.count <= kMaxMappedObjects;
-  for (std::size_t k = 0; acceptable && k < map.count; ++k) {
-    Mapped m{};
-    acceptable = find_mapped(map.entries[k], true, m) == Abort::none;
-    total += m.size;
-  }
-  if (!acceptable || total > kMaxPdoBytes) return reject();
+  const std::size_t total = layout.bytes;
+  if (layout.objects.empty()) return reject();
   if (f.length < total) {
     ++od_.count_rejected_pdos;
     r.too_short = true;
@@ -223,10 +217,8 @@ void Node::handle_rpdo(std::size_t i, const Frame& f, Time now) noexcept {
     return reject();
   }
   std::size_t at = 0;
-  for (std::size_t k = 0; k < map.count; ++k) {
-    Mapped m{};
-    (void)find_mapped(map.entries[k], true, m);
-    if (m.entry) {
+  for (const Mapped& m : layout.objects) {
+    if (m.entry && (m.entry->limits != kNoLimits || m.entry->type == Type::f32)) {
       Value v;
       v.size = m.size;
       std::memcpy(v.bytes.data(), f.data.data() + at, m.size);
@@ -262,23 +254,15 @@ void Node::handle_rpdo(std::size_t i, const Frame& f, Time now) noexcept {
 void Node::deliver(std::size_t i, Time now) noexcept {
   Rpdo& r = rpdo_[i];
   r.pending = false;
-  const PdoMapping& map = od_.rpdo_mapping[i];
-  std::array<const Entry*, kMaxMappedObjects> entries{};
+  const Layout& layout = rpdo_layout_[i];
+  auto* const objects = reinterpret_cast<unsigned char*>(&od_);
   std::size_t at = 0;
-  for (std::size_t k = 0; k < map.count; ++k) {
-    Mapped m{};
-    (void)find_mapped(map.entries[k], true, m);
-    entries[k] = m.entry;
-    if (m.entry) {
-      Value v;
-      v.size = m.size;
-      std::memcpy(v.bytes.data(), r.data.data() + at, m.size);
-      write_value(od_, *m.entry, v);
-    }
+  for (const Mapped& m : layout.objects) {
+    if (m.entry) std::memcpy(objects + m.entry->offset, r.data.data() + at, m.size);
     at += m.size;
   }
-  for (const Entry* e : entries) {
-    if (e) after_write(id_of(*e), WriteSource::rpdo, now);
+  for (const Mapped& m : layout.objects) {
+    if (m.entry) after_write(id_of(*m.entry), WriteSource::rpdo, now);
   }
   application_.pdo_delivered(static_cast<std::uint8_t>(i + 1), r.received);
 }
@@ -570,15 +554,35 @@ Abort Node::find_mapped(std::uint32_t mapping, bool receive, Mapped& out) const 
   return Abort::none;
 }
 
+Node::Layout Node::layout_of(const PdoMapping& map, bool receive) const noexcept {
+  Layout layout;
+  for (std::size_t k = 0; k < map.count; ++k) {
+    Mapped m{};
+    if (k >= kMaxMappedObjects || find_mapped(map.entries[k], receive, m) != Abort::none) return {};
+    (void)layout.objects.push_back(m);
+    layout.bytes += m.size;
+  }
+  return layout.bytes <= kMaxPdoBytes ? layout : Layout{};
+}
+
+void Node::lay_out_pdos() noexcept {
+  for (std::size_t i = 0; i < kRpdoCount; ++i) rpdo_layout_[i] = layout_of(od_.rpdo_mapping[i], true);
+  for (std::size_t i = 0; i < kTpdoCount; ++i) tpdo_layout_[i] = layout_of(od_.tpdo_mapping[i], false);
+}
+
 void Node::communication_written(const Entry& entry, Time now) noexcept {
   const std::size_t i = entry.index & 0xFU;
   switch (entry.index & 0xFF00U) {
-    case 0x1400:
     case 0x1600:
+      rpdo_layout_[i] = layout_of(od_.rpdo_mapping[i], true);
+      [[fallthrough]];
+    case 0x1400:
       rpdo_[i] = {};
       return;
-    case 0x1800:
     case 0x1A00:
+      tpdo_layout_[i] = layout_of(od_.tpdo_mapping[i], false);
+      [[fallthrough]];
+    case 0x1800:
       return restart_tpdo(i);
     default:
       break;
@@ -607,13 +611,10 @@ void Node::restart_tpdo(std::size_t i) noexcept {
 }
 
 std::size_t Node::pack(std::size_t i, std::array<std::uint8_t, kMaxPdoBytes>& data) const noexcept {
-  const PdoMapping& map = od_.tpdo_mapping[i];
+  const auto* const objects = reinterpret_cast<const unsigned char*>(&od_);
   std::size_t at = 0;
-  for (std::size_t k = 0; k < map.count && k < kMaxMappedObjects; ++k) {
-    Mapped m{};
-    if (find_mapped(map.entries[k], false, m) != Abort::none || at + m.size > kMaxPdoBytes) return 0;
-    const Value v = read_value(od_, *m.entry);
-    std::memcpy(data.data() + at, v.bytes.data(), m.size);
+  for (const Mapped& m : tpdo_layout_[i].objects) {
+    std::memcpy(data.data() + at, objects + m.entry->offset, m.size);
     at += m.size;
   }
   return at;
@@ -683,6 +684,7 @@ void Node::reset(ResetKind kind, Time now, TransmitQueue& tx) noexcept {
   rpdo_ = {};
   watched_ = {};
   copy_range(power_on_, od_, 0x1000, kind == ResetKind::node ? 0xFFFF : 0x1FFF, kWritable);
+  lay_out_pdos();
   if (kind == ResetKind::node) {
     errors_.clear();
     od_.error_history = {};
@@ -713,6 +715,7 @@ void Node::tick(Time now, TransmitQueue& tx) noexcept {
   if (!started_) {
     started_ = true;
     power_on_ = od_;
+    lay_out_pdos();
     boot_up(now, tx);
   }
   if (is_unconfigured()) return;

@@ -134,6 +134,11 @@ class Node {
     const Entry* entry;
     std::uint8_t size;
   };
+  /// A mapping as it is used: looked up once when it changes, not at every PDO. No objects: nothing usable is mapped.
+  struct Layout {
+    StaticVector<Mapped, kMaxMappedObjects> objects;
+    std::size_t bytes = 0;
+  };
 
   void boot_up(Time now, TransmitQueue& tx) noexcept;
   void restart_tpdo(std::size_t i) noexcept;
@@ -167,6 +172,8 @@ class Node {
                                         std::uint8_t sub, const Value& value) const noexcept;
   [[nodiscard]] Abort find_mapped(std::uint32_t mapping, bool receive, Mapped& out) const noexcept;
   [[nodiscard]] Abort find(std::uint16_t index, std::uint8_t sub, const Entry*& out) const noexcept;
+  [[nodiscard]] Layout layout_of(const PdoMapping& map, bool receive) const noexcept;
+  void lay_out_pdos() noexcept;
   void communication_written(const Entry& entry, Time now) noexcept;
   void after_write(ObjectId id, WriteSource source, Time now) noexcept;
 
@@ -190,6 +197,8 @@ class Node {
   bool started_ = false;
   bool overflowed_ = false;
   Time next_heartbeat_{};
+  std::array<Layout, kRpdoCount> rpdo_layout_{};
+  std::array<Layout, kTpdoCount> tpdo_layout_{};
   std::array<Rpdo, kRpdoCount> rpdo_{};
   std::array<Tpdo, kTpdoCount> tpdo_{};
   std::array<Watched, kMaxWatched> watched_{};
