@@ -37,12 +37,13 @@ struct CobIds {
 };
 
 /// Every identifier the node listens to at present.
-CobIds cob_ids(const can::ObjectDictionary& od, std::uint8_t node_id) noexcept {
+CobIds cob_ids(const can::ObjectDictionary& od) noexcept {
   constexpr std::uint32_t kNotValid = 0x8000'0000U;
   CobIds ids;
   ids.add(can::kNmtCobId);
   ids.add(od.sync_cob_id);
-  ids.add(can::kSdoRequestCobId + node_id);
+  ids.add(can::kLssRequestCobId);
+  ids.add(od.sdo_server_cob_id_receive);  // LSS may have changed the node id
   for (const std::uint32_t entry : od.consumer_heartbeat) {
     const std::uint32_t watched = (entry >> 16U) & 0xFFU;
     if (watched >= 1 && watched <= can::kMaxNodeId) ids.add(can::kHeartbeatCobId + watched);
@@ -72,7 +73,7 @@ std::string ask_for_real_time() {
 }
 
 can::CanSocket open_bus(const ModuleConfig& config, const ShellOptions& options) {
-  const CobIds ids = cob_ids(Module(config).objects(), config.node_id);
+  const CobIds ids = cob_ids(Module(config).objects());
   return can::CanSocket::open(options.can, {.filters = {ids.filters.data(), ids.filters.size()}});
 }
 
@@ -125,7 +126,7 @@ void Shell::run(const volatile int& stop) {
       say(fmt::format("{}: ticks will come later at times; allow it with CAP_SYS_NICE and CAP_IPC_LOCK", refused));
   }
   module_ = std::make_unique<Module>(config_);
-  cob_ids_ = cob_ids(module_->objects(), config_.node_id).fingerprint;
+  cob_ids_ = cob_ids(module_->objects()).fingerprint;
   can_.discard_received();
   forbid_heap();
   Next next = pace == Pace::lockstep ? Next::lockstep : Next::clock;
@@ -141,7 +142,7 @@ bool Shell::tick(Time now, const RawSensors& sensors, std::span<const can::Recei
     stopping_since_ = now;
     received_.clear();
     for (const can::ReceivedFrame& f : received) (void)received_.push_back(f);
-    (void)received_.push_back({can::nmt_frame(can::NmtCommand::stop, config_.node_id), now});
+    (void)received_.push_back({can::nmt_frame(can::NmtCommand::stop, 0), now});
     received = {received_.data(), received_.size()};
   } else if (stopping_) {
     received = {};  // nobody shall start it again
@@ -157,7 +158,7 @@ bool Shell::tick(Time now, const RawSensors& sensors, std::span<const can::Recei
 }
 
 void Shell::follow_cob_ids() noexcept {
-  const CobIds ids = cob_ids(module_->objects(), config_.node_id);
+  const CobIds ids = cob_ids(module_->objects());
   if (ids.fingerprint == cob_ids_) return;
   if (can_.set_filters({ids.filters.data(), ids.filters.size()})) cob_ids_ = ids.fingerprint;
 }
