@@ -6,6 +6,7 @@
 #include <csignal>
 
 #include "common/robot/errors.h"
+#include "common/robot/places.h"
 #include "module_fw/targets/host/module_config.h"
 #include "module_fw/targets/linux/shell.h"
 
@@ -34,7 +35,7 @@ int find_joint(const RobotDescription& robot, const std::string& text) {
 }
 
 void run(const std::string& directory, const std::string& joint_text, fw::ShellOptions options, bool test_faults) {
-  const RobotDescription robot = load_robot(directory);
+  const RobotDescription robot = load_robot(find_robot(directory));
   const int joint = find_joint(robot, joint_text);
   if (options.can.empty()) options.can = robot.bus.interface;
   options.number = joint + 1;
