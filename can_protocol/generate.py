@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
 """Makes everything that follows from schema/module.yaml.
 
-    generate.py cpp FOLDER            object_dictionary.h and pdo.h
+    generate.py cpp FOLDER            object_dictionary.h, faults.h and pdo.h
     generate.py eds FILE              EDS of a joint module
     generate.py dbc FILE --node NAME=ID ...   DBC of a robot
     generate.py markdown FILE         docs/object_dictionary.md
+    generate.py faults FILE           docs/faults.md
     generate.py python FILE           constants for Python programs
 """
 import argparse
@@ -38,6 +39,10 @@ UNIT_ENDINGS = {
     "degc": (1, "degC", "degc"), "hz": (1, "Hz", "hz"),
     "permille": (1e-3, "1", "ratio"), "percent": (1e-2, "1", "ratio"), "ppb": (1e-9, "1", "ratio"),
 }
+
+
+FAULT_KEYS = {"name", "emergency", "detect", "threshold", "of", "time_ms", "time", "reaction", "reaction_object", "latched",
+              "cleared"}
 
 
 class SchemaError(Exception):
@@ -146,6 +151,7 @@ class Schema:
         self.objects.sort(key=lambda o: o.index)
         self.by_name = {e.name: e for e in self.entries()}
         self.emergencies, self.limit_codes = raw["emergencies"], raw["limit_codes"]
+        self.reactions, self.faults = raw["reactions"], raw["faults"]
         self._check()
         self.hash = self._hash()
         self.by_name["protocol_hash"].default = self.hash
@@ -200,7 +206,7 @@ class Schema:
                            "Longest time between two; 0: none."))
         if not receive:
             parameters.append((6, "sync_start_value", "u8", "rw", {"default": 0, "high": 240, **stored},
-                               "SYNC counter at which the first one is sent; 0: any."))
+                               "The SYNC with this counter is counted as the first one; 0: any."))
         entries = [Entry(communication + i, sub, {"name": f"{kind}{n}_{name}", "type": t, "access": a, "doc": d, **more},
                          offset=offset("PdoCommunication", "communication", name)) for sub, name, t, a, more, d in parameters]
         self.objects.append(Object(communication + i, f"{kind}{n}_communication", "record", spec["doc"], entries, ""))
@@ -247,11 +253,45 @@ class Schema:
                 if e.pdo not in (("rx", "both") if receive else ("tx", "both")):
                     raise SchemaError(f"{pdo['name']}: {e.name} is not mappable")
 
+        self._check_faults()
+
+    def _check_faults(self):
+        codes = {e["name"]: e["code"] for e in self.emergencies}
+        reactions = [r["name"] for r in self.reactions]
+        names, used = set(), set()
+        for fault in self.faults:
+            name = fault["name"]
+            unknown = set(fault) - FAULT_KEYS
+            if unknown:
+                raise SchemaError(f"fault {name}: unknown keys {sorted(unknown)}")
+            missing = {"emergency", "detect", "reaction", "latched", "cleared"} - set(fault)
+            if missing:
+                raise SchemaError(f"fault {name}: {sorted(missing)} missing")
+            if ("time" in fault) == ("time_ms" in fault):
+                raise SchemaError(f"fault {name}: needs either time or time_ms")
+            if name in names or fault["emergency"] in used:
+                raise SchemaError(f"fault {name}: the name or its emergency is there twice")
+            if not codes.get(fault["emergency"]):
+                raise SchemaError(f"fault {name}: no emergency {fault['emergency']}")
+            if fault["reaction"] not in reactions:
+                raise SchemaError(f"fault {name}: reaction {fault['reaction']} is none of {reactions}")
+            configured = fault.get("reaction_object")
+            if configured:
+                entry = self.by_name.get(configured)
+                if entry is None or entry.default != reactions.index(fault["reaction"]):
+                    raise SchemaError(f"fault {name}: {configured} is no object, or its default is not {fault['reaction']}")
+            names.add(name)
+            used.add(fault["emergency"])
+
+    def fault_code(self, fault):
+        return next(e["code"] for e in self.emergencies if e["name"] == fault["emergency"])
+
     def _hash(self):
         """Of all that two sides must agree on; not of texts."""
         picture = [[e.index, e.sub, e.name, e.type, e.size, e.access, e.pdo, e.scale, e.unit, e.limits(),
                     None if e.name == "protocol_hash" else e.default, e.adds_node_id] for e in self.entries()]
         picture.append([[e["code"], e["name"]] for e in self.emergencies + self.limit_codes])
+        picture.append([[f["name"], f["reaction"], f["latched"]] for f in self.faults])
         return int.from_bytes(hashlib.sha256(json.dumps(picture).encode()).digest()[:4], "little")
 
 
@@ -373,6 +413,28 @@ def cpp_object_dictionary(schema):
     return "\n".join(out) + "\n"
 
 
+def cpp_faults(schema):
+    out = [BANNER + "// Room: can_protocol. The table of faults: code on the wire, threshold, time, reaction of each. Freestanding.",
+           "#pragma once", "", "#include <array>", "#include <cstdint>", "", '#include "can_protocol/object_dictionary.h"',
+           '#include "common/core/time.h"', "", "namespace mrr::can {", "",
+           "/// What a joint does about a fault, from the mildest to the hardest.", "enum class Reaction : std::uint8_t {"]
+    out += [f"  {r['name']},  ///< {r['doc']}" for r in schema.reactions]
+    out += ["};", "", "/// Everything that is a fault; the number is its place in kFaults.", "enum class Fault : std::uint8_t {"]
+    out += [f"  {f['name']},  ///< {f['detect']}" for f in schema.faults]
+    out += ["  none,", "};", "", "struct FaultRow {", "  const char* name;", "  Emergency code;",
+            "  Reaction reaction;            ///< by default, where an object configures it",
+            "  bool latched;                 ///< until a fault reset", "  float threshold;              ///< 0: an object or a setting has it",
+            "  Duration time;                ///< 0: at once, or an object or a setting has it", "};", "",
+            f"inline constexpr std::size_t kFaultCount = {len(schema.faults)};",
+            "inline constexpr std::array<FaultRow, kFaultCount> kFaults{{"]
+    for f in schema.faults:
+        out.append(f'    {{"{f["name"]}", Emergency::{f["emergency"]}, Reaction::{f["reaction"]}, {str(f["latched"]).lower()}, '
+                   f'{float(f.get("threshold", 0))!r}F, milliseconds({f.get("time_ms", 0)})}},')
+    out += ["}};", "", "/// Precondition: not none.", "constexpr const FaultRow& row_of(Fault fault) noexcept {",
+            "  return kFaults[static_cast<std::size_t>(fault)];", "}", "", "}  // namespace mrr::can"]
+    return "\n".join(out) + "\n"
+
+
 def cpp_pdo(schema):
     out = [BANNER + "// Room: can_protocol. The default PDOs as structs: pack and unpack. Freestanding.",
            "#pragma once", "", "#include <optional>", "", '#include "can_protocol/codec.h"', '#include "can_protocol/frame.h"', "",
@@ -433,6 +495,12 @@ def eds_entry(entry, name, section, sub_number=None):
     return lines + [""]
 
 
+def eds_comments(schema):
+    lines = ["Faults: emergency code, name, reaction, what is detected"]
+    lines += [f"{schema.fault_code(f):04X}h {f['name']}: {f['reaction']}. {f['detect']}." for f in schema.faults]
+    return [f"Lines={len(lines)}", *[f"Line{i}={line}" for i, line in enumerate(lines, 1)]]
+
+
 def eds(schema):
     d = schema.device
     rates = [10, 20, 50, 125, 250, 500, 800, 1000]
@@ -445,7 +513,7 @@ def eds(schema):
            "SimpleBootUpMaster=0", "SimpleBootUpSlave=1", "Granularity=8", "DynamicChannelsSupported=0",
            "CompactPDO=0", "GroupMessaging=0", f"NrOfRXPDO={len(schema.rpdos)}", f"NrOfTXPDO={len(schema.tpdos)}",
            "LSS_Supported=1", "", "[DummyUsage]", "Dummy0001=0",
-           *[f"Dummy{n:04X}=1" for n in range(2, 8)], "", "[Comments]", "Lines=0", ""]
+           *[f"Dummy{n:04X}=1" for n in range(2, 8)], "", "[Comments]", *eds_comments(schema), ""]
     objects = [o for o in schema.objects if not o.entries[0].test_only]
     mandatory = [o for o in objects if o.index in (0x1000, 0x1001, 0x1018)]
     maker = [o for o in objects if 0x2000 <= o.index < 0x6000]
@@ -570,6 +638,41 @@ def markdown(schema):
     return "\n".join(out) + "\n"
 
 
+def markdown_faults(schema):
+    def place(name):
+        entry = schema.by_name.get(name)
+        if entry is None:
+            return name
+        return f"{entry.index:04X}h" + (f":{entry.sub:02X}" if entry.sub else "") + f" {name}"
+
+    def limit(fault):
+        return " ".join(([f"{fault['threshold']:g}"] if "threshold" in fault else [])
+                        + ([place(fault["of"])] if "of" in fault else []))
+
+    def time(fault):
+        if "time" in fault:
+            return place(fault["time"])
+        return f"{fault['time_ms']} ms" if fault["time_ms"] else "at once"
+
+    def reaction(fault):
+        return fault["reaction"] + (f" ({place(fault['reaction_object'])})" if "reaction_object" in fault else "")
+
+    out = ["# Faults", "", "Made by `can_protocol/generate.py` from `can_protocol/schema/module.yaml`; do not edit.", "",
+           "The code is what EMCY, 603Fh and `error_or_limit` (2013h, in TPDO2) say. The first fault is kept in 2030h with its time and a picture of the joint until the faults are reset "
+           "(rising edge of controlword bit 7); later ones are counted there.",
+           "A limit that holds the joint back without being a fault shows in `active_limit` (2014h) and, while there is no fault, in `error_or_limit`: see the "
+           "[limit codes](object_dictionary.md#limit-codes). Several at once: the hardest reaction wins.", "",
+           "| fault | code | detected: | threshold | for | reaction | latched | ends by |",
+           "| --- | --- | --- | --- | --- | --- | --- | --- |"]
+    for f in schema.faults:
+        out.append(f"| {f['name']} | {schema.fault_code(f):04X}h | {f['detect']} | {limit(f)} | {time(f)} | {reaction(f)} | "
+                   f"{'yes' if f['latched'] else 'no'} | {f['cleared']} |")
+    out += ["", "## Reactions", "", "| number | reaction | |", "| --- | --- | --- |"]
+    out += [f"| {i} | {r['name']} | {r['doc']} |" for i, r in enumerate(schema.reactions)]
+    out += ["", "Every row is provoked on the emulated robot by `tests/integration/faults`: detection time, reaction, and what the bus is told. A row without a scenario fails there."]
+    return "\n".join(out) + "\n"
+
+
 # ---- Python ----
 
 def python(schema):
@@ -582,6 +685,8 @@ def python(schema):
         cob = schema.by_name[f"{pdo['name']}_cob_id"]
         out.append(f"    {pdo['name']!r}: (0x{cob.default & 0x7FF:03X}, {cob.adds_node_id}, {tuple(e.name for e in pdo['entries'])!r}),")
     out += ["}", "", "EMERGENCIES = {"] + [f"    0x{e['code']:04X}: {e['name']!r}," for e in schema.emergencies] + ["}", ""]
+    out += ["# name: (emergency code, reaction, latched)", "FAULTS = {"]
+    out += [f"    {f['name']!r}: (0x{schema.fault_code(f):04X}, {f['reaction']!r}, {f['latched']})," for f in schema.faults] + ["}", ""]
     out += ["LIMIT_CODES = {"] + [f"    {e['code']}: {e['name']!r}," for e in schema.limit_codes] + ["}"]
     return "\n".join(out) + "\n"
 
@@ -596,7 +701,7 @@ def write(path, text):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["cpp", "eds", "dbc", "markdown", "python"])
+    parser.add_argument("what", choices=["cpp", "eds", "dbc", "markdown", "faults", "python"])
     parser.add_argument("output")
     parser.add_argument("--node", action="append", default=[], metavar="NAME=ID")
     parser.add_argument("--schema", type=pathlib.Path, default=SCHEMA, help="instead of schema/module.yaml")
@@ -611,6 +716,7 @@ def main():
 def make(args, parser, schema):
     if args.what == "cpp":
         write(pathlib.Path(args.output) / "object_dictionary.h", cpp_object_dictionary(schema))
+        write(pathlib.Path(args.output) / "faults.h", cpp_faults(schema))
         write(pathlib.Path(args.output) / "pdo.h", cpp_pdo(schema))
     elif args.what == "dbc":
         nodes = []
@@ -623,7 +729,7 @@ def make(args, parser, schema):
             parser.error("a DBC needs at least one --node")
         write(args.output, dbc(schema, nodes))
     else:
-        write(args.output, {"eds": eds, "markdown": markdown, "python": python}[args.what](schema))
+        write(args.output, {"eds": eds, "markdown": markdown, "faults": markdown_faults, "python": python}[args.what](schema))
 
 
 if __name__ == "__main__":

@@ -48,6 +48,19 @@ def test_the_reference_page_is_what_the_schema_says(generate, source_dir):
         "run can_protocol/generate.py markdown docs/object_dictionary.md"
 
 
+def test_the_page_of_faults_is_what_the_schema_says(generate, source_dir):
+    assert (source_dir / "docs" / "faults.md").read_text() == generate("faults").read_text(), \
+        "run can_protocol/generate.py faults docs/faults.md"
+
+
+def test_eds_and_constants_name_every_fault(build_dir, constants):
+    eds = (build_dir / "generated" / "can_protocol" / "module.eds").read_text()
+    assert len(constants.FAULTS) > 30
+    for name, (code, reaction, _) in constants.FAULTS.items():
+        assert code in constants.EMERGENCIES, name
+        assert f"={code:04X}h {name}: {reaction}. " in eds
+
+
 def test_the_build_used_this_schema(generate, build_dir):
     for what, name in (("eds", "module.eds"), ("python", "mrr_objects.py")):
         assert (build_dir / "generated" / "can_protocol" / name).read_text() == generate(what).read_text()
