@@ -4,66 +4,12 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
-#include "supervisor/impact/external.h"
 #include "supervisor/master/bus_budget.h"
 
 namespace mrr::sim {
 
 namespace {
-
-constexpr double kMoved_m = 5e-5;  // less is below what a ruler shows: the effective mass is then infinite
-
-/// What is watched while a swing goes on.
-struct SwingWatch {
-  std::size_t contacts_before = 0;
-  double height_before_m = 0.0;
-  std::vector<double> peak_swing_nm;
-  std::vector<Time> passive_since;
-  std::vector<bool> was_passive;
-};
-
-SwingTruth conclude(const World& world, const SwingWatch& watch, const sup::SwingReport& report) {
-  const auto dof = static_cast<std::size_t>(world.dof());
-  const PlantTruth now = world.plant().truth();
-  const ContactRecords& contacts = world.plant().contacts();
-  SwingTruth truth;
-  truth.nail_height_m = now.nail_height_m;
-  truth.penetration_m = watch.height_before_m - now.nail_height_m;
-  truth.joints.resize(dof);
-  // A blow may rebound: the contact with the largest impulse is the blow.
-  const ContactRecord* blow = nullptr;
-  for (std::size_t i = watch.contacts_before; i < contacts.size(); ++i) {
-    if (blow == nullptr || contacts[i].impulse_n_s > blow->impulse_n_s) blow = &contacts[i];
-  }
-  for (std::size_t i = 0; i < dof; ++i) {
-    truth.joints[i].passive = ((report.plan.passive >> i) & 1U) != 0;
-    truth.joints[i].peak_torque_swing_nm = watch.peak_swing_nm[i];
-    truth.joints[i].switch_lead_s = std::numeric_limits<double>::quiet_NaN();
-  }
-  if (blow == nullptr) return truth;
-  truth.hit = true;
-  truth.contact_start = blow->start;
-  truth.contact_s = blow->duration().seconds();
-  truth.impulse_n_s = blow->impulse_n_s;
-  truth.peak_force_n = blow->peak_force_n;
-  truth.speed_m_s = blow->speed_at_start_m_s;
-  truth.effective_mass_kg = truth.penetration_m > kMoved_m
-                                ? sup::effective_nail_mass_kg(truth.impulse_n_s, truth.contact_s, truth.penetration_m)
-                                : std::numeric_limits<double>::infinity();
-  truth.restitution = blow->speed_at_start_m_s > 0.0 ? -blow->speed_at_end_m_s / blow->speed_at_start_m_s : 0.0;
-  for (std::size_t i = 0; i < dof; ++i) {
-    truth.joints[i].peak_torque_nm = blow->peak_transmission_torque_nm[i];
-    truth.joints[i].peak_torque_swing_nm =
-        std::max(truth.joints[i].peak_torque_swing_nm, truth.joints[i].peak_torque_nm);
-    truth.joints[i].impulse_nm_s = blow->transmission_impulse_nm_s[i];
-    if (truth.joints[i].passive && watch.was_passive[i]) {
-      truth.joints[i].switch_lead_s = (blow->start - watch.passive_since[i]).seconds();
-    }
-  }
-  return truth;
-}
 
 void judge(const RobotDescription& robot, HammerJobResult& result) {
   for (std::size_t k = 0; k < result.truth.size(); ++k) {
@@ -103,11 +49,7 @@ HammerJobResult run_hammer_job(const RobotDescription& robot, const PlantDescrip
   HammerJobResult result;
   const auto dof = static_cast<std::size_t>(world.dof());
   SwingWatch watch;
-  const auto begin_watch = [&] {
-    watch = SwingWatch{world.plant().contacts().size(), world.plant().truth().nail_height_m,
-                       std::vector<double>(dof, 0.0), std::vector<Time>(dof), std::vector<bool>(dof, false)};
-  };
-  begin_watch();
+  watch.begin(world.plant());
   bool over = false;
   Time next_progress;
   while (!over && world.now() < Time{} + options.time_limit) {
@@ -120,23 +62,20 @@ HammerJobResult run_hammer_job(const RobotDescription& robot, const PlantDescrip
     const bool in_swing = activity == sup::Activity::swinging || activity == sup::Activity::resuming ||
                           activity == sup::Activity::returning;
     if (in_swing) {
-      const PlantTruth truth = world.plant().truth();
+      watch.observe(world.plant().truth());
       for (std::size_t i = 0; i < dof; ++i) {
-        watch.peak_swing_nm[i] = std::max(watch.peak_swing_nm[i], std::abs(truth.transmission_torque_nm[i]));
         // The first time in this swing that the joint is wholly passive.
         const fw::ModuleStatus& status = world.module(static_cast<int>(i)).status();
         const Time since = world.mode_trace(static_cast<int>(i)).passive_since;
-        if (!watch.was_passive[i] && status.law == fw::Law::passive && since >= world.supervisor().outcome().began) {
-          watch.was_passive[i] = true;
-          watch.passive_since[i] = since;
-        }
+        if (status.law == fw::Law::passive && since >= world.supervisor().outcome().began)
+          watch.passive_since(i, since);
       }
     }
     if (telemetry != nullptr) telemetry->sample(world, static_cast<int>(session.swings().size()) + 1);
     over = session.step(world.now());
     if (session.swings().size() > result.truth.size()) {
-      result.truth.push_back(conclude(world, watch, session.swings().back()));
-      begin_watch();
+      result.truth.push_back(watch.conclude(world.plant(), session.swings().back().plan.passive));
+      watch.begin(world.plant());
     }
     if (progress && world.now() >= next_progress) {
       progress(world.now().seconds(), static_cast<int>(session.swings().size()), world.plant().truth().nail_height_m);

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "sim_vcan/world/recorder.h"
+#include "sim_vcan/world/swing_watch.h"
 #include "sim_vcan/world/world.h"
 #include "supervisor/strike/session.h"
 
@@ -17,30 +18,6 @@ struct HammerJobOptions {
   WorldOptions world;
   bool telemetry = false;
   Duration time_limit = milliseconds(300'000);  ///< simulated; a job that hangs is a defect and is reported as such
-};
-
-/// One joint in one swing, as it really was.
-struct JointBlow {
-  bool passive = false;               ///< planned to be, at contact
-  double switch_lead_s = 0.0;         ///< from "the commanded torque is the passive one" to contact; NaN: not passive
-  double peak_torque_nm = 0.0;        ///< largest |transmission torque| while in contact
-  double peak_torque_swing_nm = 0.0;  ///< ... during the whole swing
-  double impulse_nm_s = 0.0;          ///< transmission torque integrated over the contact, less its value before
-};
-
-/// One swing as a force sensor under the board, a ruler and strain gauges would report it.
-struct SwingTruth {
-  bool hit = false;
-  Time contact_start;
-  double contact_s = 0.0;
-  double impulse_n_s = 0.0;
-  double peak_force_n = 0.0;
-  double penetration_m = 0.0;
-  double nail_height_m = 0.0;      ///< afterwards
-  double speed_m_s = 0.0;          ///< at first touch, along -normal
-  double effective_mass_kg = 0.0;  ///< M* = P t/d (33), (34); infinite when nothing moved
-  double restitution = 0.0;        ///< (63) from face speeds
-  std::vector<JointBlow> joints;
 };
 
 struct HammerJobResult {

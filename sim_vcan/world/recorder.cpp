@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <array>
 #include <iterator>
 #include <ostream>
 
@@ -20,21 +21,30 @@ Telemetry::Telemetry(const RobotDescription& robot) : dof_(robot.dof()) {
 }
 
 void Telemetry::sample(const World& world, int swing) {
-  const PlantTruth truth = world.plant().truth();
   const sup::Supervisor& supervisor = world.supervisor();
-  values_.insert(values_.end(),
-                 {world.now().seconds(), static_cast<double>(swing), static_cast<double>(supervisor.activity()),
-                  truth.contact_force_n, truth.nail_height_m * 1e3, truth.face_gap_m * 1e3, truth.face_position_m.x(),
-                  truth.face_position_m.y(), truth.face_position_m.z(), supervisor.observer().force_n()});
+  std::array<JointTelemetry, kMaxJoints> joints;
   for (int i = 0; i < dof_; ++i) {
-    const auto k = static_cast<std::size_t>(i);
     const fw::ModuleStatus& status = world.module(i).status();
+    joints[static_cast<std::size_t>(i)] = {
+        static_cast<double>(status.reference_position_rad), static_cast<double>(status.reference_velocity_rad_s),
+        static_cast<double>(status.joint_torque_nm), static_cast<double>(status.torque_command_nm),
+        status.law == fw::Law::passive};
+  }
+  append({world.now(), swing, static_cast<int>(supervisor.activity()), supervisor.observer().force_n()},
+         world.plant().truth(), {joints.data(), static_cast<std::size_t>(dof_)});
+}
+
+void Telemetry::append(const RobotTelemetry& robot, const PlantTruth& truth, std::span<const JointTelemetry> joints) {
+  values_.insert(values_.end(),
+                 {robot.now.seconds(), static_cast<double>(robot.swing), static_cast<double>(robot.activity),
+                  truth.contact_force_n, truth.nail_height_m * 1e3, truth.face_gap_m * 1e3, truth.face_position_m.x(),
+                  truth.face_position_m.y(), truth.face_position_m.z(), robot.estimated_force_n});
+  for (std::size_t k = 0; k < joints.size(); ++k) {
+    const JointTelemetry& joint = joints[k];
     values_.insert(values_.end(),
-                   {static_cast<double>(status.reference_position_rad), truth.motor_position_rad[k],
-                    truth.link_position_rad[k], static_cast<double>(status.reference_velocity_rad_s),
-                    truth.motor_velocity_rad_s[k], truth.transmission_torque_nm[k],
-                    static_cast<double>(status.joint_torque_nm), static_cast<double>(status.torque_command_nm),
-                    truth.current_a[k], status.law == fw::Law::passive ? 1.0 : 0.0});
+                   {joint.reference_rad, truth.motor_position_rad[k], truth.link_position_rad[k],
+                    joint.reference_velocity_rad_s, truth.motor_velocity_rad_s[k], truth.transmission_torque_nm[k],
+                    joint.sensed_torque_nm, joint.commanded_torque_nm, truth.current_a[k], joint.passive ? 1.0 : 0.0});
   }
 }
 

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <iosfwd>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -11,12 +12,31 @@
 
 namespace mrr::sim {
 
+/// What a row says of a joint beyond the plant's truth: the module's own view.
+struct JointTelemetry {
+  double reference_rad = 0.0;
+  double reference_velocity_rad_s = 0.0;
+  double sensed_torque_nm = 0.0;
+  double commanded_torque_nm = 0.0;
+  bool passive = false;
+};
+
+/// What a row says beyond the plant's truth: the supervisor's own view.
+struct RobotTelemetry {
+  Time now;
+  int swing = 0;  ///< counts from 1; 0: none yet
+  int activity = 0;
+  double estimated_force_n = 0.0;
+};
+
 /// One row per step of the supervisor. Names carry their unit in brackets.
 class Telemetry {
  public:
   explicit Telemetry(const RobotDescription& robot);
   /// Appends the world's present state; `swing` counts from 1, 0 before the first.
   void sample(const World& world, int swing);
+  /// The same from its parts; `joints` has an entry per joint.
+  void append(const RobotTelemetry& robot, const PlantTruth& truth, std::span<const JointTelemetry> joints);
   /// Comma separated, a header line, "%.9g".
   void write_csv(std::ostream& out) const;
 
