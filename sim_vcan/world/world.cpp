@@ -33,6 +33,8 @@ BusConfig bus_config(const RobotDescription& robot, const WorldOptions& options)
 
 }  // namespace
 
+std::uint64_t plant_seed(std::uint64_t run_seed) { return run_seed == 0 ? 0 : Random(run_seed, kPlantStream).next(); }
+
 Time World::Node::local(Time world_time) const noexcept {
   return clock_offset + Duration{world_time.ns + scale(world_time.ns, drift_ppb, kBillion)};
 }
@@ -44,7 +46,7 @@ Time World::Node::world(Time local_time) const noexcept {
 World::World(const RobotDescription& robot, const PlantDescription& plant, const WorldOptions& options)
     : robot_(robot),
       dof_(robot.dof()),
-      plant_(robot, plant, options.seed == 0 ? 0 : Random(options.seed, kPlantStream).next()),
+      plant_(robot, plant, plant_seed(options.seed)),
       bus_(bus_config(robot, options)),
       supervisor_period_(options.supervisor.step) {
   sup::SupervisorConfig supervisor = options.supervisor;

@@ -33,6 +33,9 @@ struct JointModeTrace {
   Time selected_since{-1};  ///< the last selection came into force
 };
 
+/// The plant's own seed within a run's; 0 stays 0 (all nominal). The emulator process draws the same world from it.
+[[nodiscard]] std::uint64_t plant_seed(std::uint64_t run_seed);
+
 class World {
  public:
   World(const RobotDescription& robot, const PlantDescription& plant, const WorldOptions& options);
