@@ -17,7 +17,7 @@ namespace {
 
 constexpr Duration kAnswerLimit = milliseconds(1000);  // wall clock; then the participant is dropped
 constexpr Duration kWaitSlice = milliseconds(100);     // signals and calls are noticed within it
-constexpr Duration kRealtimeSilence = milliseconds(20);
+constexpr Duration kRealtimeSilence = milliseconds(50);
 constexpr std::int64_t kMaxCatchUp = 20;   // free-running: ticks the world may jump when the process was late
 constexpr std::int64_t kServeEvery = 20;   // lockstep: ticks between looks at the control socket
 constexpr std::size_t kMaxRows = 600'000;  // ten minutes

@@ -86,7 +86,7 @@ Shell::Shell(const ModuleConfig& config, const ShellOptions& options)
   }
 }
 
-void Shell::say(const std::string& sentence) const {
+void Shell::say(std::string_view sentence) const {
   fmt::print(stderr, "mrr_module: joint {} ({}): {}\n", options_.number, options_.name, sentence);
 }
 
@@ -120,6 +120,7 @@ void Shell::run(const volatile int& stop) {
       config_.sensing.encoder_timeout += kSchedulerDelay;
       config_.sensing.torque_timeout += kSchedulerDelay;
       config_.sensing.current_timeout += kSchedulerDelay;
+      config_.watchdog.loop += kSchedulerDelay;
     }
     const std::string refused = ask_for_real_time();
     if (!refused.empty())

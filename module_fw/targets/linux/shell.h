@@ -5,6 +5,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <string_view>
 
 #include "can_protocol/plant_io/plant_link.h"
 #include "can_protocol/socketcan/can_socket.h"
@@ -44,7 +45,7 @@ class Shell {
   bool tick(Time now, const RawSensors& sensors, std::span<const can::ReceivedFrame> received, bool stopping) noexcept;
   void follow_cob_ids() noexcept;
   [[nodiscard]] plant_io::AnswerPayload answer() noexcept;
-  void say(const std::string& sentence) const;
+  void say(std::string_view sentence) const;
 
   ModuleConfig config_;
   ShellOptions options_;
