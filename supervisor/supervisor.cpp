@@ -292,6 +292,7 @@ Supervisor::Supervisor(const RobotDescription& robot, const SupervisorConfig& co
   reference_ = at_rest(JointVector::Zero(dof_));
   sample_ = {JointVector::Zero(dof_), JointVector::Zero(dof_), JointVector::Zero(dof_)};
   outcome_.done = false;
+  if (config_.start_disabled) activity_ = Activity::disabled;
 }
 
 void Supervisor::emit(EventKind kind, int joint, std::uint32_t value, std::uint32_t detail) noexcept {
@@ -363,7 +364,7 @@ void Supervisor::step(Time now, std::span<const can::ReceivedFrame> received, ca
   watch_nodes();
   if (!cycle_seen_) on_cycle();
   if (step_count_ == 0) started_ = now;
-  if (step_count_ % steps_per_sync_ == 0 && may_sync()) on_sync(tx);
+  if (sync_due()) on_sync(tx);
   disable_if_asked();
   advance_command();
   ++step_count_;
@@ -757,9 +758,19 @@ JointTrajectory Supervisor::stopping_motion() const noexcept {
   return trajectory;
 }
 
+bool Supervisor::sync_due() const noexcept {
+  if (sync_ < 0) return step_count_ % steps_per_sync_ == 0 && may_sync();
+  return now_ >= knot_time(sync_ + 1);
+}
+
 void Supervisor::on_sync(can::TransmitQueue& tx) noexcept {
-  ++sync_;
-  if (sync_ == 0) first_sync_ = now_;
+  if (sync_ < 0) {
+    sync_ = 0;
+    first_sync_ = now_;
+  } else {
+    // A shell that was late skips SYNCs, as if they were lost on the wire: counter, knots and time stay together.
+    sync_ = std::max(sync_ + 1, (now_ - first_sync_) / sync_period_);
+  }
   for (int i = 0; i < dof_; ++i) nodes_[at(i)].begin_cycle();
   cycle_seen_ = false;
   (void)tx.push_back(can::sync_frame(sync_counter(sync_)));

@@ -26,6 +26,7 @@ struct SupervisorConfig {
   Duration dwell = milliseconds(200);                          ///< at rest before a swing
   Duration arm_ahead = milliseconds(400);           ///< the selection is armed this long before it takes effect
   Duration acknowledge_before = milliseconds(160);  ///< not acknowledged by then: the swing is aborted
+  bool start_disabled = false;  ///< activity is `disabled` until somebody enables, not `bringing_up`
 };
 
 enum class Activity : std::uint8_t {
@@ -180,7 +181,8 @@ class Supervisor final : public RobotPort {
   /// Checks the bus budget and the model against KDL; throws DescriptionError naming what does not fit.
   Supervisor(const RobotDescription& robot, const SupervisorConfig& config);
 
-  /// One step of `config.step`. Frames that arrived since the last one, stamped on the same clock as `now`.
+  /// One step of `config.step`. Frames that arrived since the last one, stamped on the same clock as `now`. A step that
+  /// could not be made in time is left out: `now` stays a multiple of `config.step` after the first.
   void step(Time now, std::span<const can::ReceivedFrame> received, can::TransmitQueue& tx) noexcept;
 
   void enable(bool wanted) noexcept override;
@@ -223,6 +225,7 @@ class Supervisor final : public RobotPort {
   static constexpr std::size_t at(int i) noexcept { return static_cast<std::size_t>(i); }
   void emit(EventKind kind, int joint = -1, std::uint32_t value = 0, std::uint32_t detail = 0) noexcept;
   [[nodiscard]] bool may_sync() const noexcept;
+  [[nodiscard]] bool sync_due() const noexcept;
   void watch_nodes() noexcept;
   void recover_if_asked() noexcept;
   void enter_faulted() noexcept;
