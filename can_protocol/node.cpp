@@ -154,7 +154,7 @@ void Node::handle_sync(const Frame& f, Time now, TransmitQueue& tx) noexcept {
     if (!(f.data[0] >= 1 && f.data[0] <= od_.sync_counter_overflow)) return reject();
     counter = f.data[0];
   }
-  clear(Emergency::sync_length, now);
+  if (!errors_.empty()) clear(Emergency::sync_length, now);
   ++od_.count_sync;
   if (state_ == NmtState::operational) {
     for (std::size_t i = 0; i < kRpdoCount; ++i) {
@@ -190,7 +190,7 @@ void Node::handle_heartbeat(const Frame& f, Time now) noexcept {
     if (watched_timeout(setting).ns == 0 || watched_node(setting) != heartbeat->node_id) continue;
     const bool is_boot_up = heartbeat->state == NmtState::initialising;
     if (is_boot_up && !w.running) continue;  // watching starts with the first heartbeat proper
-    w.running = true;
+    w.running = watches_ = true;
     w.last = now;
     w.lost = false;
     bool any_lost = false;
@@ -235,14 +235,16 @@ void Node::handle_rpdo(std::size_t i, const Frame& f, Time now) noexcept {
   r.watched = true;
   r.too_short = false;
   r.late = false;
-  bool any_short = false;
-  bool any_late = false;
-  for (const Rpdo& other : rpdo_) {
-    any_short = any_short || other.too_short;
-    any_late = any_late || other.late;
+  if (!errors_.empty()) {
+    bool any_short = false;
+    bool any_late = false;
+    for (const Rpdo& other : rpdo_) {
+      any_short = any_short || other.too_short;
+      any_late = any_late || other.late;
+    }
+    if (!any_short) clear(Emergency::pdo_length, now);
+    if (!any_late) clear(Emergency::rpdo_timeout, now);
   }
-  if (!any_short) clear(Emergency::pdo_length, now);
-  if (!any_late) clear(Emergency::rpdo_timeout, now);
 
   if (is_synchronous(od_.rpdo_communication[i].transmission_type)) {
     r.pending = true;
@@ -568,6 +570,19 @@ Node::Layout Node::layout_of(const PdoMapping& map, bool receive) const noexcept
 void Node::lay_out_pdos() noexcept {
   for (std::size_t i = 0; i < kRpdoCount; ++i) rpdo_layout_[i] = layout_of(od_.rpdo_mapping[i], true);
   for (std::size_t i = 0; i < kTpdoCount; ++i) tpdo_layout_[i] = layout_of(od_.tpdo_mapping[i], false);
+  find_timed_pdos();
+}
+
+void Node::find_timed_pdos() noexcept {
+  timed_rpdos_ = timed_tpdos_ = 0;
+  for (std::size_t i = 0; i < kRpdoCount; ++i) {
+    const PdoCommunication& pdo = od_.rpdo_communication[i];
+    if (is_valid(pdo.cob_id) && pdo.event_timer_ms != 0) timed_rpdos_ |= 1U << i;
+  }
+  for (std::size_t i = 0; i < kTpdoCount; ++i) {
+    const PdoCommunication& pdo = od_.tpdo_communication[i];
+    if (is_valid(pdo.cob_id) && !is_synchronous(pdo.transmission_type)) timed_tpdos_ |= 1U << i;
+  }
 }
 
 void Node::communication_written(const Entry& entry, Time now) noexcept {
@@ -578,12 +593,13 @@ void Node::communication_written(const Entry& entry, Time now) noexcept {
       [[fallthrough]];
     case 0x1400:
       rpdo_[i] = {};
-      return;
+      return find_timed_pdos();
     case 0x1A00:
       tpdo_layout_[i] = layout_of(od_.tpdo_mapping[i], false);
       [[fallthrough]];
     case 0x1800:
-      return restart_tpdo(i);
+      restart_tpdo(i);
+      return find_timed_pdos();
     default:
       break;
   }
@@ -638,10 +654,10 @@ void Node::send_tpdo(std::size_t i, Time now, TransmitQueue& tx) noexcept {
 
 void Node::tick_tpdo(std::size_t i, Time now, TransmitQueue& tx) noexcept {
   const PdoCommunication& pdo = od_.tpdo_communication[i];
-  if (!is_valid(pdo.cob_id) || is_synchronous(pdo.transmission_type)) return;
   Tpdo& t = tpdo_[i];
   bool due = t.requested;
   if (pdo.event_timer_ms != 0 && now - t.sent >= milliseconds(pdo.event_timer_ms)) due = true;
+  if (due || pdo.transmission_type != kTimerOnlyType) application_.refresh();
   if (!due && pdo.transmission_type != kTimerOnlyType) {
     std::array<std::uint8_t, kMaxPdoBytes> data{};
     due = pack(i, data) != 0 && data != t.last;
@@ -724,15 +740,17 @@ void Node::tick(Time now, TransmitQueue& tx) noexcept {
   }
   tick_watched(now);
   if (state_ == NmtState::operational) {
-    for (std::size_t i = 0; i < kRpdoCount; ++i) {
+    for (std::size_t i = 0; timed_rpdos_ >> i != 0; ++i) {
       const Duration deadline = milliseconds(od_.rpdo_communication[i].event_timer_ms);
       Rpdo& r = rpdo_[i];
-      if (!is_valid(od_.rpdo_communication[i].cob_id) || deadline.ns == 0 || !r.watched || r.late) continue;
+      if ((timed_rpdos_ >> i & 1U) == 0 || !r.watched || r.late) continue;
       if (now - r.received <= deadline) continue;
       r.late = true;
       raise(Emergency::rpdo_timeout, {static_cast<std::uint8_t>(i + 1)}, now);
     }
-    for (std::size_t i = 0; i < kTpdoCount; ++i) tick_tpdo(i, now, tx);
+    for (std::size_t i = 0; timed_tpdos_ >> i != 0; ++i) {
+      if ((timed_tpdos_ >> i & 1U) != 0) tick_tpdo(i, now, tx);
+    }
   }
   if (od_.producer_heartbeat_ms != 0 && now >= next_heartbeat_) {
     const Duration period = milliseconds(od_.producer_heartbeat_ms);
@@ -742,7 +760,7 @@ void Node::tick(Time now, TransmitQueue& tx) noexcept {
   }
   if (overflowed_) {
     raise(Emergency::can_overrun, now);
-  } else {
+  } else if (!errors_.empty()) {
     clear(Emergency::can_overrun, now);
   }
   overflowed_ = false;
@@ -750,6 +768,7 @@ void Node::tick(Time now, TransmitQueue& tx) noexcept {
 }
 
 void Node::tick_watched(Time now) noexcept {
+  if (!watches_) return;
   for (std::size_t i = 0; i < kMaxWatched; ++i) {
     const std::uint32_t setting = od_.consumer_heartbeat[i];
     Watched& w = watched_[i];

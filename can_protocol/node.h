@@ -36,6 +36,8 @@ class NodeApplication {
   virtual void sync(Time, std::optional<std::uint8_t> /*counter*/) noexcept {}
   /// A selection with a known action arrived, by RPDO or by SDO on selection_command. Repetitions are passed on too.
   virtual void selection(const SelectionCommand&, Time) noexcept {}
+  /// Objects are about to be read for a TPDO that SYNC does not ask for: time to bring them up to date.
+  virtual void refresh() noexcept {}
   virtual void nmt_changed(NmtState, Time) noexcept {}
   /// NMT reset: the writable objects of the range hold their power-on values again. Boot-up follows.
   virtual void reset(ResetKind, Time) noexcept {}
@@ -174,6 +176,8 @@ class Node {
   [[nodiscard]] Abort find(std::uint16_t index, std::uint8_t sub, const Entry*& out) const noexcept;
   [[nodiscard]] Layout layout_of(const PdoMapping& map, bool receive) const noexcept;
   void lay_out_pdos() noexcept;
+  /// Which PDOs have something to do at a tick: those with a deadline, those that are not sent by SYNC.
+  void find_timed_pdos() noexcept;
   void communication_written(const Entry& entry, Time now) noexcept;
   void after_write(ObjectId id, WriteSource source, Time now) noexcept;
 
@@ -199,9 +203,12 @@ class Node {
   Time next_heartbeat_{};
   std::array<Layout, kRpdoCount> rpdo_layout_{};
   std::array<Layout, kTpdoCount> tpdo_layout_{};
+  std::uint32_t timed_rpdos_ = 0;  ///< bit i: RPDO i
+  std::uint32_t timed_tpdos_ = 0;
   std::array<Rpdo, kRpdoCount> rpdo_{};
   std::array<Tpdo, kTpdoCount> tpdo_{};
   std::array<Watched, kMaxWatched> watched_{};
+  bool watches_ = false;  ///< any of them was ever running
   StaticVector<Error, kMaxErrors> errors_;
   RingBuffer<PendingEmergency, kMaxPendingEmergencies> emergencies_;
   bool has_sent_emergency_ = false;

@@ -1,5 +1,7 @@
 #include "module_fw/module.h"
 
+#include <limits>
+
 #include "can_protocol/units.h"
 
 namespace mrr::fw {
@@ -18,6 +20,7 @@ constexpr float kConfirmShare = 0.05F;          // of full-scale current: agreem
 constexpr float kMaxCompensationShare = 0.95F;  // of the Coulomb friction: the passive law must not drive
 constexpr float kHoldLeash = 0.8F;  // of the resynchronisation window: a held joint can always be taken over again
 constexpr std::uint32_t kNotWatched = 0xFFFF'FFFFU;
+constexpr float kInfinity = std::numeric_limits<float>::infinity();
 
 // Every fault a module can raise itself, to be cleared together.
 constexpr std::array kOwnFaults{
@@ -112,6 +115,8 @@ Module::Module(const ModuleConfig& config) noexcept
     : config_(usable_or_harmless(config)),
       dt_s_(config_.tick.seconds_f()),
       tick_us_(static_cast<std::uint32_t>(config_.tick / microseconds(1))),
+      permille_per_nm_(1e3F / config_.drive.rated_torque_nm),
+      permille_per_a_(1e3F / config_.drive.continuous_current_a),
       node_(
           (fill_objects(), od_),
           can::NodeConfig{.node_id = config_.node_id, .bit_rate = config_.bit_rate, .test_objects = config.test_faults},
@@ -129,6 +134,7 @@ Module::Module(const ModuleConfig& config) noexcept
       configuration_valid_(usable_at_start_) {
   status_.homed = config_.sensing.encoder_absolute;
   homing_.configure(config_.homing);
+  apply_live_parameters();
 }
 
 // ---------------------------------------------------------------------------------------------- configuration
@@ -262,10 +268,18 @@ void Module::written(can::ObjectId id, can::WriteSource source, Time) noexcept {
     test_fault_ = static_cast<Emergency>(od_.test_fault);
     return;
   }
-#else
-  static_cast<void>(id);
 #endif
-  if (source == can::WriteSource::sdo) parameters_changed_ = true;
+  const bool by_sdo = source == can::WriteSource::sdo;
+  if (by_sdo) parameters_changed_ = true;
+  if (by_sdo || id == can::ObjectId::max_torque_permille) apply_live_parameters();
+}
+
+// Objects that are in force at once.
+void Module::apply_live_parameters() noexcept {
+  max_torque_nm_ = static_cast<float>(od_.max_torque_permille) * 1e-3F * config_.drive.rated_torque_nm;
+  const bool watched = od_.following_error_window_urad != kNotWatched;
+  following_error_rad_ = watched ? static_cast<float>(od_.following_error_window_urad) * 1e-6F : kInfinity;
+  following_error_limit_ticks_ = milliseconds(od_.following_error_timeout_ms) / config_.tick;
 }
 
 void Module::pdo_delivered(std::uint8_t number, Time received) noexcept {
@@ -367,6 +381,7 @@ void Module::reset(can::ResetKind kind, Time) noexcept {
   machine_.restart();
   selection_.reset();
   parameters_changed_ = true;
+  apply_live_parameters();
   if (kind == can::ResetKind::node) heartbeat_lost_ = false;
 }
 
@@ -386,7 +401,11 @@ bool Module::may_change_law() const noexcept {
 }
 
 void Module::fail(Emergency cause, Time now) noexcept {
-  if (status_.fault == Emergency::none) {
+  const bool first = status_.fault == Emergency::none;
+  if (!first && node_.is_present(cause)) return;
+  publish();  // the picture of this instant
+  shown_ = false;
+  if (first) {
     status_.fault = cause;
     status_.fault_at = now;
     od_.first_fault_cause = static_cast<std::uint16_t>(cause);
@@ -475,13 +494,8 @@ void Module::watch(Time now) noexcept {
   if (enabled && selector_.law() == Law::active && brake_.motion_allowed() && !torque_mode() &&
       !selector_.catching_up()) {
     const float error = sensing_.position_rad() - reference_.state().position_rad;
-    const bool off = od_.following_error_window_urad != kNotWatched &&
-                     !(absolute(error) <= static_cast<float>(od_.following_error_window_urad) * 1e-6F);
-    following_error_ticks_ = off ? following_error_ticks_ + 1 : 0;
-    if (static_cast<float>(following_error_ticks_) * dt_s_ >
-        static_cast<float>(od_.following_error_timeout_ms) * 1e-3F) {
-      found(Emergency::following_error);
-    }
+    following_error_ticks_ = absolute(error) <= following_error_rad_ ? 0 : following_error_ticks_ + 1;
+    if (following_error_ticks_ > following_error_limit_ticks_) found(Emergency::following_error);
   } else {
     following_error_ticks_ = 0;
   }
@@ -863,6 +877,8 @@ void Module::step(Time now, const RawSensors& sensors, std::span<const can::Rece
     started_ = true;
     started_at_ = now;
   }
+  if (!received.empty()) publish();  // what frames may ask for is the last tick
+  shown_ = false;
   status_.now = now;
   sensing_.update(now, sensors);
   for (const can::ReceivedFrame& frame : received) node_.handle(frame, tx);
@@ -896,7 +912,6 @@ void Module::step(Time now, const RawSensors& sensors, std::span<const can::Rece
     saturated_ = false;
     status_.torque_command_nm = 0.0F;
   }
-  publish();
   node_.tick(now, tx);
 }
 
@@ -950,7 +965,10 @@ std::uint16_t Module::statusword() const noexcept {
   return static_cast<std::uint16_t>(word);
 }
 
-void Module::publish() noexcept {
+// Drawn when somebody looks: at most once per tick, and in most ticks not at all.
+void Module::publish() const noexcept {
+  if (shown_) return;
+  shown_ = true;
   const MotionState& r = reference_.state();
   status_.state = machine_.state();
   status_.authority = authority_;
@@ -965,47 +983,32 @@ void Module::publish() noexcept {
   status_.reference_position_rad = r.position_rad;
   status_.reference_velocity_rad_s = r.velocity_rad_s;
   status_.reference_acceleration_rad_s2 = r.acceleration_rad_s2;
-  status_.thermal_load = drive_.thermal_load();
   status_.sync_locked = pll_.locked();
-  status_.sync_error_ns = pll_.last_error().ns;
-  status_.clock_drift_ppm = pll_.drift_ppm();
   status_.following_knots = status_.state == DriveState::operation_enabled && selector_.law() == Law::active &&
                             mode_ == Mode::cyclic_position && reference_.following();
   status_.selection_armed = selection_.armed();
   status_.limit = active_limit();
 
   // To the bus. A position that is not known is not shown anew: its validity bit says so.
-  const std::uint32_t rated = od_.motor_rated_torque_mnm;
-  max_torque_nm_ = static_cast<float>(od_.max_torque_permille) * 1e-3F * config_.drive.rated_torque_nm;
   od_.statusword = statusword();
   status_.mode = passive() ? Mode::passive : mode_;
   od_.modes_of_operation_display = static_cast<std::int8_t>(status_.mode);
   if (status_.position_valid) {
-    od_.position_actual_urad = can::urad_from_rad(status_.position_rad).value_or(od_.position_actual_urad);
-    od_.velocity_actual_urad_s = can::urad_s_from_rad_s(status_.velocity_rad_s).value_or(0);
+    od_.position_actual_urad = to_count(status_.position_rad * 1e6F);
+    od_.velocity_actual_urad_s = to_count(status_.velocity_rad_s * 1e6F);
   }
-  od_.position_demand_urad = can::urad_from_rad(r.position_rad).value_or(0);
-  od_.velocity_demand_urad_s = can::urad_s_from_rad_s(r.velocity_rad_s).value_or(0);
+  od_.position_demand_urad = to_count(r.position_rad * 1e6F);
+  od_.velocity_demand_urad_s = to_count(r.velocity_rad_s * 1e6F);
   od_.following_error_actual_urad = od_.position_demand_urad - od_.position_actual_urad;
   const float shown_nm = config_.sensing.torque_sensor ? status_.joint_torque_nm : status_.torque_command_nm;
-  od_.torque_actual_permille = can::permille_from_nm(shown_nm, rated).value_or(0);
-  od_.torque_demand_permille = can::permille_from_nm(status_.torque_command_nm, rated).value_or(0);
-  od_.current_actual_permille = can::permille_from_nm(status_.current_a, od_.motor_rated_current_ma).value_or(0);
+  od_.torque_actual_permille = to_count16(shown_nm * permille_per_nm_);
+  od_.torque_demand_permille = to_count16(status_.torque_command_nm * permille_per_nm_);
+  od_.current_actual_permille = to_count16(status_.current_a * permille_per_a_);
   od_.active_limit = static_cast<std::uint16_t>(status_.limit);
   od_.error_or_limit = status_.fault != Emergency::none ? static_cast<std::uint16_t>(status_.fault) : od_.active_limit;
   od_.selection_acknowledged = selection_.acknowledgement();
   status_.selection_acknowledged = od_.selection_acknowledged;
 
-  od_.sync_locked = status_.sync_locked ? 1 : 0;
-  od_.sync_phase_error_ns = static_cast<std::int32_t>(status_.sync_error_ns);
-  od_.sync_drift_ppb = static_cast<std::int32_t>(status_.clock_drift_ppm * 1e3F);
-  od_.winding_temperature_ddegc =
-      static_cast<std::int16_t>(round_to_int(limit(sensing_.winding_c().value * 10.0F, 3e4F)));
-  od_.drive_temperature_degc = static_cast<std::int8_t>(round_to_int(limit(sensing_.drive_c().value, 127.0F)));
-  od_.bus_voltage_cv =
-      static_cast<std::uint16_t>(round_to_int(limit(sensing_.bus_voltage_v().value * 100.0F, 0.0F, 65535.0F)));
-  od_.thermal_use_permille =
-      static_cast<std::uint16_t>(round_to_int(limit(status_.thermal_load * 1e3F, 0.0F, 65535.0F)));
   std::uint32_t validity = status_.position_valid ? 0x03U : 0U;
   if (status_.torque_valid) validity |= 0x04U;
   if (sensing_.current_a().valid) validity |= 0x08U;
@@ -1018,7 +1021,18 @@ void Module::publish() noexcept {
   // 60FDh: bits 0 negative limit, 1 positive limit, 2 home; 16 index, 17 brake released, 18 power stage fault.
   od_.digital_inputs = (in & 0x07U) | ((in >> 3U) & 0x07U) << 16U;
   od_.brake_released = sensing_.input(kInputBrakeReleased) ? 1 : 0;
-  od_.uptime_us += tick_us_;
+  od_.uptime_us = static_cast<std::uint64_t>((status_.now - started_at_) / microseconds(1)) + tick_us_;
+  status_.thermal_load = drive_.thermal_load();
+  status_.sync_error_ns = pll_.last_error().ns;
+  status_.clock_drift_ppm = pll_.drift_ppm();
+  od_.sync_locked = status_.sync_locked ? 1 : 0;
+  od_.sync_phase_error_ns = static_cast<std::int32_t>(status_.sync_error_ns);
+  od_.sync_drift_ppb = static_cast<std::int32_t>(status_.clock_drift_ppm * 1e3F);
+  od_.winding_temperature_ddegc = to_count16(sensing_.winding_c().value * 10.0F);
+  od_.drive_temperature_degc = static_cast<std::int8_t>(to_count(limit(sensing_.drive_c().value, 127.0F)));
+  od_.bus_voltage_cv =
+      static_cast<std::uint16_t>(to_count(limit(sensing_.bus_voltage_v().value * 100.0F, 0.0F, 65535.0F)));
+  od_.thermal_use_permille = static_cast<std::uint16_t>(to_count(limit(status_.thermal_load * 1e3F, 0.0F, 65535.0F)));
 }
 
 }  // namespace mrr::fw

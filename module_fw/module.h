@@ -42,9 +42,15 @@ class Module final : private can::NodeApplication {
             ActuatorCommand& actuator, can::TransmitQueue& tx) noexcept;
 
   /// For tests and telemetry only: nothing on the robot's bus depends on it.
-  [[nodiscard]] const ModuleStatus& status() const noexcept { return status_; }
+  [[nodiscard]] const ModuleStatus& status() const noexcept {
+    publish();
+    return status_;
+  }
   /// The objects as the bus sees them. For tests.
-  [[nodiscard]] const can::ObjectDictionary& objects() const noexcept { return od_; }
+  [[nodiscard]] const can::ObjectDictionary& objects() const noexcept {
+    publish();
+    return od_;
+  }
 
  private:
   // What the node tells.
@@ -62,6 +68,7 @@ class Module final : private can::NodeApplication {
   void fill_objects() noexcept;
   /// Objects -> laws and limits: what was written over the bus comes into force when the joint is enabled.
   void apply_parameters() noexcept;
+  void apply_live_parameters() noexcept;
 
   // The stages of a tick, in their order.
   void watch(Time now) noexcept;
@@ -74,7 +81,8 @@ class Module final : private can::NodeApplication {
   void estimate_load(Time now) noexcept;
   [[nodiscard]] float control_torque(Time now) noexcept;
   void sequence_brake(Time now) noexcept;
-  void publish() noexcept;
+  void publish() const noexcept;
+  void refresh() noexcept override { publish(); }
 
   void offer_knot(const Knot& knot, Duration period) noexcept;
   void fail(can::Emergency cause, Time now) noexcept;
@@ -99,9 +107,11 @@ class Module final : private can::NodeApplication {
   ModuleConfig config_;  ///< what is in force: as configured, then as written over the bus
   float dt_s_;
   std::uint32_t tick_us_;
-  ModuleStatus status_;
-
-  can::ObjectDictionary od_;
+  float permille_per_nm_;  ///< of 6076h
+  float permille_per_a_;   ///< of 6075h
+  mutable ModuleStatus status_;
+  mutable can::ObjectDictionary od_;
+  mutable bool shown_ = false;  ///< both show the last tick
   can::Node node_;
   SyncPll pll_;
   SelectionSwitch selection_;
@@ -160,7 +170,9 @@ class Module final : private can::NodeApplication {
   bool cut_ = false;                                 ///< no torque may be trusted
   bool blind_ = false;                               ///< the position is not known
   std::uint8_t over_speed_ticks_ = 0;
-  std::int32_t following_error_ticks_ = 0;
+  std::int64_t following_error_ticks_ = 0;
+  std::int64_t following_error_limit_ticks_ = 0;
+  float following_error_rad_ = 0.0F;
   BrakeSequence::Trouble brake_trouble_ = BrakeSequence::Trouble::none;
   bool torque_not_finite_ = false;
   can::Emergency test_fault_ = can::Emergency::none;  ///< written to 2F00h

@@ -20,10 +20,14 @@ void DriveStateMachine::restart() noexcept {
   if (state_ != DriveState::fault && state_ != DriveState::fault_reaction_active)
     state_ = DriveState::switch_on_disabled;
   last_controlword_ = 0;
+  settled_ = false;
 }
 
 DriveState DriveStateMachine::update(const Inputs& in) noexcept {
   using enum DriveState;
+  // Nothing new: what left the joint enabled in the last tick leaves it enabled in this one.
+  if (state_ == operation_enabled && settled_ && !in.fault && in.controlword == last_controlword_) return state_;
+  const DriveState before = state_;
   const Command command = decode(in.controlword);
   reset_edge_ =
       (in.controlword & kControlFaultReset & ~static_cast<unsigned>(last_controlword_)) != 0 && state_ == fault;
@@ -31,6 +35,7 @@ DriveState DriveStateMachine::update(const Inputs& in) noexcept {
 
   if (in.fault && state_ != fault && state_ != fault_reaction_active) {
     state_ = fault_reaction_active;  // 13
+    settled_ = false;
     return state_;
   }
   // With bit 7 set the word is no command (CiA 402: fault reset).
@@ -77,6 +82,7 @@ DriveState DriveStateMachine::update(const Inputs& in) noexcept {
       if (reset_edge_ && !in.fault) state_ = switch_on_disabled;  // 15
       break;
   }
+  settled_ = state_ == before;
   return state_;
 }
 

@@ -53,6 +53,7 @@ class DriveStateMachine {
   DriveState state_ = DriveState::not_ready_to_switch_on;
   std::uint16_t last_controlword_ = 0;
   bool reset_edge_ = false;
+  bool settled_ = false;  ///< the last update changed nothing
 };
 
 }  // namespace mrr::fw

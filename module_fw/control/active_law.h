@@ -27,7 +27,7 @@ class ActiveLaw {
   ActiveLaw(const ControlConfig& control, const FrictionConfig& friction, float dt_s) noexcept;
 
   /// Forgets what the compensator has learnt. Call when the law comes (back) into force.
-  void reset() noexcept { integral_ = {}; }
+  void reset() noexcept { integral_ = Four{}; }
 
   /// One tick. q is the difference to the reference, taken by the caller where it can be taken exactly.
   /// @param error_rad       e = q - q_d
@@ -41,9 +41,15 @@ class ActiveLaw {
  private:
   ControlConfig control_;
   FrictionConfig friction_;
-  float dt_s_;
-  std::array<float, 4> integral_{};       ///< u_c
-  std::array<float, 4> inverse_width_{};  ///< 1 / eps
+  /// One value per friction parameter; arithmetic is by element.
+  using Four [[gnu::vector_size(16)]] = float;
+  [[nodiscard]] static Four limited(Four x, Four magnitude) noexcept;
+
+  Four integral_{};       ///< u_c
+  Four integral_step_{};  ///< K_i dt
+  Four integral_limit_{};
+  Four robust_gain_{};
+  Four inverse_width_{};  ///< 1 / eps
   float inverse_position_width_ = 0.0F;
 };
 

@@ -12,10 +12,14 @@ inline constexpr float kPi = 3.14159265358979F;
 /// False for NaN and infinities.
 constexpr bool is_finite(float x) noexcept { return (std::bit_cast<std::uint32_t>(x) & 0x7F80'0000U) != 0x7F80'0000U; }
 
-constexpr float absolute(float x) noexcept { return x < 0.0F ? -x : x; }
+constexpr float absolute(float x) noexcept { return __builtin_fabsf(x); }
 
 /// x limited to [low, high]; a NaN stays a NaN (the drive refuses it), it never turns into a limit.
-constexpr float limit(float x, float low, float high) noexcept { return x < low ? low : (x > high ? high : x); }
+/// Written so that each line is one minimum or maximum instruction.
+constexpr float limit(float x, float low, float high) noexcept {
+  const float below = high < x ? high : x;
+  return low > below ? low : below;
+}
 constexpr float limit(float x, float magnitude) noexcept { return limit(x, -magnitude, magnitude); }
 
 /// Saturation: x limited to [-1, 1].
@@ -40,7 +44,16 @@ constexpr float exp_negative(float x) noexcept {
 
 /// Nearest integer, halves away from zero; |x| < 2^31.
 constexpr std::int32_t round_to_int(float x) noexcept {
-  return static_cast<std::int32_t>(x >= 0.0F ? x + 0.5F : x - 0.5F);
+  return static_cast<std::int32_t>(x + __builtin_copysignf(0.5F, x));
+}
+
+/// x as a count for the wire: nearest integer, saturated; 0 for NaN.
+constexpr std::int32_t to_count(float x) noexcept {
+  constexpr float kMax = 2147483520.0F;  // the largest float below 2^31
+  return x == x ? round_to_int(limit(x, kMax)) : 0;
+}
+constexpr std::int16_t to_count16(float x) noexcept {
+  return static_cast<std::int16_t>(x == x ? round_to_int(limit(x, 32767.0F)) : 0);
 }
 
 /// A duration as float seconds. Meant for short spans: exact to 2^-24 of the span. Spans beyond +-2 s saturate,

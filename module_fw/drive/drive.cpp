@@ -21,7 +21,8 @@ void ThermalModel::update(float current_a) noexcept {
 }
 
 float ThermalModel::allowed_current_a() const noexcept {
-  const float share = limit((1.0F - load_) / (1.0F - kDerateFrom), 0.0F, 1.0F);
+  constexpr float kInverseSpan = 1.0F / (1.0F - kDerateFrom);
+  const float share = limit((1.0F - load_) * kInverseSpan, 0.0F, 1.0F);
   return continuous_a_ + share * (peak_a_ - continuous_a_);
 }
 
@@ -31,10 +32,12 @@ Drive::Drive(const DriveConfig& drive, const SensingConfig& sensing, const Limit
       amperes_per_nm_positive_(1.0F / (drive.gear_ratio * drive.torque_constant_positive_nm_a)),
       amperes_per_nm_negative_(1.0F / (drive.gear_ratio * drive.torque_constant_negative_nm_a)),
       counts_per_ampere_(kDutyFullScale / sensing.current_full_scale_a),
+      amperes_per_degree_(drive.peak_current_a / drive.temperature_derating_c),
       torque_limit_nm_(limits.torque_nm) {}
 
 void Drive::configure(const DriveConfig& drive, const LimitsConfig& limits) noexcept {
   config_ = drive;
+  amperes_per_degree_ = drive.peak_current_a / drive.temperature_derating_c;
   torque_limit_nm_ = limits.torque_nm;
   thermal_.set_peak_current(drive.peak_current_a);
 }
@@ -60,8 +63,8 @@ Drive::Output Drive::command(float torque_nm, const Reading& current, const Read
   float allowed = thermal_.allowed_current_a();
   bool thermal = allowed < config_.peak_current_a;
   if (winding.valid) {
-    const float room = (config_.max_winding_temperature_c - winding.value) / config_.temperature_derating_c;
-    const float by_temperature = limit(room, 0.0F, 1.0F) * config_.peak_current_a;
+    const float room = (config_.max_winding_temperature_c - winding.value) * amperes_per_degree_;
+    const float by_temperature = limit(room, 0.0F, config_.peak_current_a);
     if (by_temperature < allowed) {
       allowed = by_temperature;
       thermal = true;

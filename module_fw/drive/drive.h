@@ -62,6 +62,7 @@ class Drive {
   float amperes_per_nm_positive_;
   float amperes_per_nm_negative_;
   float counts_per_ampere_;
+  float amperes_per_degree_;  ///< by which the current comes down near the highest winding temperature
   float torque_limit_nm_;
   float commanded_a_ = 0.0F;
 };

@@ -88,10 +88,11 @@ void Sensing::update(Time now, const RawSensors& raw) noexcept {
 
   const auto take = [&](std::uint8_t bit, float value, Duration timeout, Reading& reading, Time& at) {
     if ((fresh & bit) != 0) {
-      reading.value = value;
+      reading = {value, true};
       at = now;
+    } else {
+      reading.valid = reading.valid && now - at <= timeout;
     }
-    reading.valid = (seen_ & bit) != 0 && now - at <= timeout;
   };
   seen_ |= fresh;
   take(kFreshTorque, static_cast<float>(raw.torque_adc) * torque_scale_, config_.torque_timeout, joint_torque_,

@@ -400,7 +400,6 @@ TEST(Module, EverySensorThatFallsSilentOrGoesWildIsAFaultNotMotion) {
     return [bit](RawSensors& raw) { raw.fresh = static_cast<std::uint8_t>(raw.fresh & ~bit); };
   };
   const std::vector<Case> cases{
-      {"torque", silent(kFreshTorque), Emergency::torque_sensor},
       {"current", silent(kFreshCurrent), Emergency::current_sensor},
       {"temperature", silent(kFreshTemperature), Emergency::temperature_sensor},
       {"voltage", silent(kFreshBusVoltage), Emergency::under_voltage},
@@ -425,6 +424,42 @@ TEST(Module, EverySensorThatFallsSilentOrGoesWildIsAFaultNotMotion) {
       EXPECT_FALSE(b.actuator.power_stage_enabled) << c.name;
     }
   }
+}
+
+TEST(Module, WithoutItsTorqueSensorItGoesOnByTheModelTorqueAndSaysSo) {
+  auto p = test::hammer_joint();
+  p.gravity_nm = 4.0;
+  ModuleBench b(p);
+  b.model_torque_nm = [](const MotionState& s) { return 4.0 * std::cos(double{s.position_rad}); };
+  ASSERT_TRUE(b.enable());
+  ASSERT_TRUE(b.follow_here());
+  b.run(0.2);
+  const double here = b.joint.motor_q;
+  const float torque = b.status().torque_command_nm;
+  b.spoil = [](RawSensors& raw) { raw.fresh = static_cast<std::uint8_t>(raw.fresh & ~unsigned{kFreshTorque}); };
+  float largest_step = 0.0F;
+  float last = torque;
+  b.each_tick = [&](const ModuleStatus& s) {
+    largest_step = std::max(largest_step, std::abs(s.torque_command_nm - last));
+    last = s.torque_command_nm;
+  };
+  b.run(1.0);
+  EXPECT_EQ(b.status().fault, Emergency::none);
+  EXPECT_TRUE(b.status().following_knots);
+  EXPECT_EQ(b.status().limit, LimitCode::model_torque);
+  EXPECT_EQ(b.module.objects().error_or_limit, static_cast<std::uint16_t>(LimitCode::model_torque));
+  EXPECT_NEAR(b.joint.motor_q, here, 1e-3);
+  EXPECT_LT(largest_step, 2.1F) << "no more than the torque slew in one tick";
+  // Back: said no longer.
+  b.spoil = nullptr;
+  b.run(0.1);
+  EXPECT_EQ(b.status().limit, LimitCode::none);
+  // Lost with no model torque to go on by: stopped and faulted.
+  b.spoil = [](RawSensors& raw) { raw.fresh = static_cast<std::uint8_t>(raw.fresh & ~unsigned{kFreshTorque}); };
+  b.trajectory = nullptr;
+  b.run(0.5);
+  EXPECT_EQ(b.status().fault, Emergency::torque_sensor);
+  EXPECT_NEAR(b.joint.motor_q, here, 3e-3);
 }
 
 TEST(Module, AConfigurationThatIsNotANumberNeverMoves) {
