@@ -50,6 +50,8 @@ const char* mode_name(PassiveMode mode) noexcept {
       return "never";
     case PassiveMode::always:
       return "always";
+    case PassiveMode::lightest:
+      return "lightest";
   }
   return "unknown";
 }

@@ -211,12 +211,17 @@ HomingDescription read_homing(const YamlReader& yaml, const JointLimits& limits)
   return h;
 }
 
+/// A jerk limit that is not given lets a motion reach its acceleration limit in this time.
+constexpr double kRampS = 5e-3;
+
 void read_joint(const YamlReader& yaml, JointDescription& joint, const BusDescription& bus) {
   joint.node_id = static_cast<std::uint8_t>(yaml.integer("node_id", 2, 127));
   joint.selection_bit = static_cast<std::uint8_t>(yaml.integer("selection_bit", 0, 31));
 
   const YamlReader limits = yaml.section("limits");
   joint.limits.acceleration_rad_s2 = limits.number("acceleration", Unit::angular_acceleration, Range::positive(1000.0));
+  joint.limits.jerk_rad_s3 =
+      limits.number("jerk", Unit::angular_jerk, Range::positive(1e6), joint.limits.acceleration_rad_s2 / kRampS);
   joint.limits.following_error_rad = limits.number("following_error", Unit::angle, Range::positive(kPi));
   joint.limits.following_error_time_s = limits.number("following_error_time", Unit::time, {0.0, 10.0});
   joint.park_rad = yaml.number("park", Unit::angle, {joint.limits.lower_rad, joint.limits.upper_rad}, 0.0);

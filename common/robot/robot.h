@@ -101,6 +101,7 @@ struct JointLimits {
   double velocity_rad_s = 0.0;  ///< from the URDF
   double torque_nm = 0.0;       ///< from the URDF (effort): commanded joint-side torque
   double acceleration_rad_s2 = 0.0;
+  double jerk_rad_s3 = 0.0;  ///< default: reaches the acceleration limit in 5 ms
   double following_error_rad = 0.0;
   double following_error_time_s = 0.0;
 };

@@ -49,6 +49,8 @@ constexpr UnitEntry kUnits[] = {
     {Unit::acceleration, {"m/s^2", 1.0}},
     {Unit::angular_acceleration, {"rad/s^2", 1.0}},
     {Unit::angular_acceleration, {"deg/s^2", kDegree}},
+    {Unit::angular_jerk, {"rad/s^3", 1.0}},
+    {Unit::angular_jerk, {"deg/s^3", kDegree}},
     {Unit::force, {"N", 1.0}},
     {Unit::force, {"mN", 1e-3}},
     {Unit::force, {"kN", 1e3}},
@@ -264,6 +266,8 @@ std::string_view unit_meaning(Unit unit) {
       return "an acceleration";
     case Unit::angular_acceleration:
       return "an angular acceleration";
+    case Unit::angular_jerk:
+      return "an angular jerk";
     case Unit::force:
       return "a force";
     case Unit::torque:

@@ -30,6 +30,7 @@ enum class Unit : std::uint8_t {
   angular_velocity,      ///< rad/s mrad/s deg/s rpm
   acceleration,          ///< m/s^2
   angular_acceleration,  ///< rad/s^2 deg/s^2
+  angular_jerk,          ///< rad/s^3 deg/s^3
   force,                 ///< N mN kN
   torque,                ///< Nm mNm
   torque_rate,           ///< Nm/s

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -29,11 +30,12 @@ struct FaceSolution {
 
 struct IkOptions {
   std::uint64_t seed = 1;
-  int starts = 96;  ///< random starts, besides the present pose, the middle and zero
+  int starts = 96;  ///< at most, besides the present pose, the middle and zero
   int max_solutions = 32;
-  double same_rad = 1e-3;      ///< nearer than this (largest joint difference) is the same solution
-  double distinct_rad = 0.15;  ///< for redundant arms, whose solutions are a continuum: sampled this far apart
-  int null_space_steps = 6;    ///< redundant arms: steps either way along the null space of each solution
+  double same_rad = 1e-3;  ///< nearer than this (largest joint difference) is the same solution
+  double distinct_rad =
+      0.15;  ///< for redundant arms (and those of four joints), whose solutions are a continuum: sampled this far apart
+  int null_space_steps = 6;  ///< redundant arms: steps either way along the null space of each solution
   double null_space_step_rad = 0.2;
 };
 
@@ -48,5 +50,9 @@ struct IkResult {
 /// first start and order of the result.
 [[nodiscard]] IkResult solve_face_on_point(const RobotDescription& robot, const Chain& chain, const FaceTarget& target,
                                            const JointVector& near, const IkOptions& options = {});
+
+/// The solution that damped least squares reaches from `q`, on the point exactly; nullopt if it reaches none.
+[[nodiscard]] std::optional<FaceSolution> solve_near(const RobotDescription& robot, const Chain& chain,
+                                                     const FaceTarget& target, const JointVector& q);
 
 }  // namespace mrr::sup

@@ -14,15 +14,18 @@
 #include <utility>
 
 #include "supervisor/impact/measures.h"
+#include "supervisor/impact/selection.h"
 #include "supervisor/strike/joint_norm.h"
+#include "supervisor/strike/null_space.h"
 
 namespace mrr::sup {
 namespace {
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr double kTie = 0.02;                  // measures nearer than this share are equal
-constexpr double kSlowDown = 0.9;              // one step of slowing down
+constexpr double kSlowDown = 0.81;             // one step of slowing down
 constexpr double kLeastSpeedShare = 0.3;       // a blow slower than this share of what was wanted is not worth it
+constexpr double kRoomMatters = 2.0;           // of a whole back-swing, against the logarithm of the measure
 constexpr double kLeastBackSwingShare = 0.25;  // of the back-swing that was wanted
 constexpr double kMaxFollowThroughM = 0.06;
 constexpr double kBoardRadiusM = 0.10;     // how far around the nail the board is taken to reach
@@ -63,40 +66,60 @@ Obstacle obstacle(const std::string& what, const LimitCheck& check, const RobotD
   return {what + describe(check, robot), check.worst != LimitKind::position};
 }
 
+/// One selection at one pose, for an approach at 1 m/s. Loads grow with the speed, shares of one load in another do
+/// not.
+struct Weighed {
+  std::uint32_t passive = 0;
+  double load_ratio_per_n_s = kInfinity;
+  double impulse_n_s_per_m_s = 0.0;
+  double wanted_m_s = 0.0;   // the speed asked for
+  double allowed_m_s = 0.0;  // up to which no joint exceeds its repeated peak; 0: a passive joint would fall too far
+  double considerate_m_s = 0.0;  // up to which no active joint exceeds its rated limit
+  double needless_m_s = 0.0;     // up to which some passive joint could as well be held
+  int limiting_joint = 0;        // of allowed_m_s
+};
+
 /// A pose that may be struck from, with everything known about it before trajectories.
 struct Blow {
   FaceSolution pose;
+  JointVector unit;  // joint speeds for 1 m/s
   JointVector qd;
+  double top_speed_m_s = 0.0;     // by the joints
+  double wanted_speed_m_s = 0.0;  // before the gears had a say
   double speed_m_s = 0.0;
-  double wanted_speed_m_s = 0.0;
+  double back_swing_rad = 0.0;
+  Weighed chosen;
   std::uint32_t passive = 0;
-  std::array<JointLoad, kMaxJoints> loads{};
-  ImpactPrediction prediction;
   double measure = 0.0;
-  std::vector<SelectionCandidate> selections;
   std::string why;  // if not feasible
   bool feasible = false;
+  // Filled in by detail().
+  std::array<JointLoad, kMaxJoints> loads{};
+  ImpactPrediction prediction;
 };
 
 class Planner {
  public:
-  Planner(const RobotDescription& robot, const Chain& chain, const StrikeRequest& request)
-      : robot_(robot), chain_(chain), request_(request), limits_(motion_limits(robot)), grid_(knot_period(robot)) {}
+  Planner(const RobotDescription& robot, const Chain& chain, const PlanInput& request);
 
   StrikePlan plan();
 
  private:
   [[nodiscard]] int dof() const { return chain_.dof(); }
-  [[nodiscard]] JointVector impact_speed_limits() const;
-  [[nodiscard]] ImpactPrediction predict_with(const Blow& blow, const std::array<JointState, kMaxJoints>& joints) const;
-  [[nodiscard]] std::array<JointState, kMaxJoints> states(const Blow& blow, std::uint32_t passive) const;
-  void weigh(Blow& blow) const;
-  bool select(Blow& blow) const;
-  [[nodiscard]] double measure_of(const Blow& blow) const;
+  [[nodiscard]] std::uint32_t all() const { return (1U << dof()) - 1U; }
+  void weigh(Blow& blow, double slower = 1.0);
+  void weigh_selections(const Blow& blow, const ChainPose& pose, const SelectionSweep& sweep);
+  [[nodiscard]] const Weighed* choose(Blow& blow, double slower) const;
+  [[nodiscard]] JointVector drops(const ChainPose& pose) const;
+  void detail(Blow& blow);
+  void explain_selections(const Blow& blow, StrikePlan& plan);
+  [[nodiscard]] double measure_of(const Blow& blow, const ChainPose& pose) const;
   [[nodiscard]] bool smaller_is_better() const { return request_.measure == StrikeMeasure::load_ratio; }
   [[nodiscard]] std::vector<std::size_t> ranked(const std::vector<Blow>& blows) const;
+  void improve(const FaceTarget& target, std::vector<Blow>& blows);
+  [[nodiscard]] double room_for_back_swing(const Blow& blow) const;
 
-  std::optional<std::string> build(Blow& blow, StrikePlan& plan) const;
+  std::optional<std::string> build(Blow& blow, StrikePlan& plan);
   std::optional<Obstacle> build_at_speed(const Blow& blow, StrikePlan& plan) const;
   std::optional<Obstacle> build_stop(const Blow& blow, StrikePlan& plan, Duration& stop) const;
   std::optional<Obstacle> build_swing(const Blow& blow, StrikePlan& plan, Duration stop, double travel) const;
@@ -112,199 +135,303 @@ class Planner {
 
   const RobotDescription& robot_;
   const Chain& chain_;
-  const StrikeRequest& request_;
+  const PlanInput& request_;
   MotionLimits limits_;
   Duration grid_;
+  std::array<JointLoad, kMaxJoints> joint_{};  // what does not depend on the pose
+  JointVector speed_limit_;                    // of the joints at impact, rad/s
+  std::array<double, kMaxJoints> controlled_inertia_{};
+  std::vector<Weighed> weighed_;  // of the pose weighed last
 };
 
-JointVector Planner::impact_speed_limits() const {
-  JointVector qd(dof());
+Planner::Planner(const RobotDescription& robot, const Chain& chain, const PlanInput& request)
+    : robot_(robot),
+      chain_(chain),
+      request_(request),
+      limits_(motion_limits(robot)),
+      grid_(knot_period(robot)),
+      speed_limit_(chain.dof()) {
   const double share = robot_.task.max_speed_share * request_.speed_share;
   for (int i = 0; i < dof(); ++i) {
+    const JointDescription& joint = robot_.joints[at(i)];
     // The design contact, not the learnt one: a soft nail's long contact is no reason to strike softer.
-    const double by_gear = joint_speed_limit_rad_s(robot_.joints[at(i)], robot_.task.assumed_contact_s,
-                                                   robot_.task.impacts_over_momentary_peak);
-    qd[i] = share * std::min(by_gear, limits_.velocity_rad_s[i]);
+    const double by_gear =
+        joint_speed_limit_rad_s(joint, robot_.task.assumed_contact_s, robot_.task.impacts_over_momentary_peak);
+    speed_limit_[i] = share * std::min(by_gear, limits_.velocity_rad_s[i]);
+    controlled_inertia_[at(i)] = controlled_extra_inertia(
+        joint.control.position_gain_nm_rad, joint.control.velocity_gain_nm_s_rad, request_.contact_duration_s);
+    joint_[at(i)].limits = impulse_limits(joint.transmission, request_.contact_duration_s);
+    joint_[at(i)].controlled_inertia_kg_m2 = controlled_inertia_[at(i)];
+    joint_[at(i)].qd_limit_rad_s = speed_limit_[i];
   }
-  return qd;
 }
 
-ImpactPrediction Planner::predict_with(const Blow& blow, const std::array<JointState, kMaxJoints>& joints) const {
+/// How far each joint would fall, passive, from the switch to the end of the contact, rad: by what gravity exceeds the
+/// friction that is left, the nail not counted on.
+JointVector Planner::drops(const ChainPose& pose) const {
+  const JointVector g = chain_.gravity(pose);
+  const JointMatrix M = chain_.mass_matrix(pose);
+  const double time_s = robot_.task.switch_lead_s + request_.contact_duration_s;
+  JointVector drop(dof());
+  for (int i = 0; i < dof(); ++i) {
+    const JointDescription& joint = robot_.joints[at(i)];
+    const double left_nm = joint.friction.static_nm * (1.0 - joint.control.passive_compensation);
+    const double fall = std::max(std::abs(g[i]) - left_nm, 0.0) / (M(i, i) + joint.reflected_inertia_kg_m2());
+    drop[i] = 0.5 * fall * time_s * time_s;
+  }
+  return drop;
+}
+
+/// Every selection that the request leaves open, into weighed_.
+void Planner::weigh_selections(const Blow& blow, const ChainPose& pose, const SelectionSweep& sweep) {
+  const JointVector drop = drops(pose);
+  JointVector may_hold_m_s(dof());  // up to which each joint, held, carries no more than rated
+  for (int i = 0; i < dof(); ++i) {
+    const SelectionBlow held = sweep.held(i);
+    const double impulse = held.impulse_n_s(1.0, request_.restitution, request_.nail_mass_kg);
+    may_hold_m_s[i] = joint_[at(i)].limits.rated_nm_s / (std::abs(held.axis_nm_s_per_n_s[i]) * impulse);
+    if (!(may_hold_m_s[i] >= 0.0)) may_hold_m_s[i] = 0.0;
+  }
+  std::uint32_t candidates = 0;
+  std::uint32_t fixed = 0;
+  if (request_.passive) {
+    fixed = *request_.passive & all();
+  } else if (request_.mode == PassiveMode::always) {
+    fixed = all();
+  } else if (request_.mode != PassiveMode::never) {
+    candidates = all();
+  }
+  weighed_.clear();
+  sweep.for_each(candidates, fixed, [&](const SelectionBlow& s) {
+    Weighed w;
+    w.passive = s.passive;
+    w.impulse_n_s_per_m_s = s.impulse_n_s(1.0, request_.restitution, request_.nail_mass_kg);
+    w.allowed_m_s = w.considerate_m_s = kInfinity;
+    w.load_ratio_per_n_s = 0.0;
+    for (int i = 0; i < dof(); ++i) {
+      const ImpulseLimits& limits = joint_[at(i)].limits;
+      const double load = std::abs(s.axis_nm_s_per_n_s[i]);
+      const bool passive = (s.passive >> i & 1U) != 0;
+      w.load_ratio_per_n_s = std::max(w.load_ratio_per_n_s, load / limits.rated_nm_s);
+      const double per_speed = load * w.impulse_n_s_per_m_s;
+      if (passive) w.needless_m_s = std::max(w.needless_m_s, may_hold_m_s[i]);
+      if (!passive) w.considerate_m_s = std::min(w.considerate_m_s, limits.rated_nm_s / per_speed);
+      double allowed = limits.repeated_nm_s / per_speed;
+      if ((candidates >> i & 1U) != 0 && passive && drop[i] > robot_.joints[at(i)].control.max_passive_travel_rad) {
+        allowed = 0.0;
+      }
+      if (allowed < w.allowed_m_s) {
+        w.allowed_m_s = allowed;
+        w.limiting_joint = i;
+      }
+    }
+    if (!std::isfinite(w.impulse_n_s_per_m_s)) w.allowed_m_s = 0.0;
+    w.wanted_m_s = blow.top_speed_m_s;
+    if (request_.wanted_penetration_m > 0.0 && std::isfinite(request_.nail_mass_kg)) {
+      const double impulse = request_.wanted_penetration_m * request_.nail_mass_kg / request_.contact_duration_s;
+      w.wanted_m_s =
+          std::clamp(impulse / w.impulse_n_s_per_m_s, kLeastSpeedShare * blow.top_speed_m_s, blow.top_speed_m_s);
+    }
+    weighed_.push_back(w);
+  });
+}
+
+/// The best of weighed_, and its speed. Null: none stays below the repeated peaks at a speed worth striking with.
+const Weighed* Planner::choose(Blow& blow, double slower) const {
+  double reach = 0.0;  // largest share of the wanted speed that any selection stands
+  for (const Weighed& w : weighed_) reach = std::max(reach, std::min(w.allowed_m_s / w.wanted_m_s, slower));
+  if (!(reach >= kLeastSpeedShare)) {
+    const Weighed& sturdiest =
+        *std::max_element(weighed_.begin(), weighed_.end(),
+                          [](const Weighed& a, const Weighed& b) { return a.allowed_m_s < b.allowed_m_s; });
+    blow.speed_m_s = kLeastSpeedShare * sturdiest.wanted_m_s;
+    if (sturdiest.allowed_m_s > 0.0) {
+      const int i = sturdiest.limiting_joint;
+      const double limit = joint_[at(i)].limits.repeated_nm_s;
+      blow.why = fmt::format(
+          "{} would carry {:.3f} N m s, repeated peak allows {:.3f} (passive: {}, at {:.3f} m/s, the slowest blow "
+          "worth "
+          "striking here)",
+          robot_.joints[at(i)].name, limit * blow.speed_m_s / sturdiest.allowed_m_s, limit,
+          names(robot_, sturdiest.passive), blow.speed_m_s);
+    } else {
+      blow.why = "the arm could not yield to the blow, or its passive joints would fall too far";
+    }
+    return nullptr;
+  }
+  const auto feasible = [&](const Weighed& w) { return w.allowed_m_s >= (1.0 - 1e-9) * reach * w.wanted_m_s; };
+  const auto overloads = [&](const Weighed& w) { return reach * w.wanted_m_s > w.considerate_m_s; };
+  const auto needless = [&](const Weighed& w) {
+    return request_.mode == PassiveMode::planned && reach * w.wanted_m_s <= w.needless_m_s;
+  };
+  // Whoever would carry more than rated while active goes passive if anything helps, and nobody else; after that the
+  // lightest load wins.
+  const auto better = [&](const Weighed& a, const Weighed& b) {
+    if (overloads(a) != overloads(b)) return overloads(b);
+    if (needless(a) != needless(b)) return needless(b);
+    return a.load_ratio_per_n_s < b.load_ratio_per_n_s;
+  };
+  const Weighed* best = nullptr;
+  for (const Weighed& w : weighed_) {
+    if (feasible(w) && (best == nullptr || better(w, *best))) best = &w;
+  }
+  if (best == nullptr) return nullptr;
+  const double tie = (1.0 + kTie) * best->load_ratio_per_n_s;
+  const bool overloaded = overloads(*best);
+  const bool idle = needless(*best);
+  for (const Weighed& w : weighed_) {
+    if (!feasible(w) || overloads(w) != overloaded || needless(w) != idle || !(w.load_ratio_per_n_s <= tie)) continue;
+    const int fewer = std::popcount(best->passive) - std::popcount(w.passive);
+    if (fewer > 0 || (fewer == 0 && w.load_ratio_per_n_s < best->load_ratio_per_n_s)) best = &w;
+  }
+  blow.wanted_speed_m_s = best->wanted_m_s;
+  blow.speed_m_s = reach * best->wanted_m_s;
+  return best;
+}
+
+double Planner::measure_of(const Blow& blow, const ChainPose& pose) const {
+  switch (request_.measure) {
+    case StrikeMeasure::load_ratio:
+      return blow.chosen.load_ratio_per_n_s;
+    case StrikeMeasure::internal_impact:
+      return internal_impact_measure(chain_, pose, chain_.reach_m(), request_.rotors, request_.formulation).w_ii;
+    case StrikeMeasure::effective_mass:
+      return (1.0 + request_.restitution) / blow.chosen.impulse_n_s_per_m_s;
+  }
+  return kInfinity;
+}
+
+/// How far the joint that travels most can swing back within the limits, rad, at most what the task asks.
+double Planner::room_for_back_swing(const Blow& blow) const {
+  const double fastest = largest_magnitude(blow.unit);
+  double room = robot_.task.back_swing_rad;
+  for (int i = 0; i < dof(); ++i) {
+    const double share = std::abs(blow.unit[i]) / fastest;
+    if (!(share > 1e-9)) continue;
+    const double left =
+        blow.unit[i] > 0.0 ? blow.pose.q[i] - limits_.lower_rad[i] : limits_.upper_rad[i] - blow.pose.q[i];
+    room = std::min(room, left / share);
+  }
+  return std::max(room, 0.0);
+}
+
+/// Velocity, selection and measure of a pose; as fast as the gears stand it, `slower` times what is wanted at the most.
+void Planner::weigh(Blow& blow, double slower) {
+  blow.feasible = false;
+  blow.why.clear();
+  const ChainPose pose = chain_.pose(blow.pose.q);
+  if (below_board(pose)) {
+    blow.why = "a link would be inside the board in this pose";
+    return;
+  }
+  blow.unit = unit_strike_velocity(chain_.jacobian(pose), request_.normal, speed_limit_);
+  if (blow.unit.isZero()) {
+    blow.why = "the face cannot move along the nail in this pose";
+    return;
+  }
+  blow.top_speed_m_s = kInfinity;
+  for (int i = 0; i < dof(); ++i) {
+    if (blow.unit[i] != 0.0)
+      blow.top_speed_m_s = std::min(blow.top_speed_m_s, speed_limit_[i] / std::abs(blow.unit[i]));
+  }
+  blow.back_swing_rad = room_for_back_swing(blow);
+  const SelectionSweep sweep(chain_, pose, request_.normal, controlled_inertia_, request_.rotors, request_.formulation);
+  if (!sweep.usable()) {
+    blow.why = "the impulse of this pose cannot be computed";
+    return;
+  }
+  weigh_selections(blow, pose, sweep);
+  const Weighed* best = choose(blow, slower);
+  if (best == nullptr) return;
+  blow.chosen = *best;
+  blow.passive = best->passive;
+  blow.qd = blow.unit * blow.speed_m_s;
+  blow.measure = measure_of(blow, pose);
+  blow.feasible = std::isfinite(blow.measure);
+  if (!blow.feasible) blow.why = "the predicted impulse is not usable";
+}
+
+/// Loads of every joint at the speed chosen: all free, held, and as planned.
+void Planner::detail(Blow& blow) {
   ImpactInput input;
   input.q = blow.pose.q;
   input.qd = blow.qd;
   input.normal = request_.normal;
   input.restitution = request_.restitution;
   input.nail_mass_kg = request_.nail_mass_kg;
-  input.joints = joints;
   input.rotor_model = request_.rotors;
   input.formulation = request_.formulation;
-  return predict(chain_, input);
+  for (int i = 0; i < dof(); ++i) {
+    if ((blow.passive >> i & 1U) == 0) input.joints[at(i)] = {JointHold::controlled, controlled_inertia_[at(i)]};
+  }
+  blow.prediction = predict(chain_, input);
+  blow.loads = joint_;
+  const SelectionSweep sweep(chain_, chain_.pose(blow.pose.q), request_.normal, controlled_inertia_, request_.rotors,
+                             request_.formulation);
+  const auto load = [&](const SelectionBlow& s, int i) {
+    const double impulse = s.impulse_n_s(blow.speed_m_s, request_.restitution, request_.nail_mass_kg);
+    return std::isfinite(impulse) ? std::abs(s.axis_nm_s_per_n_s[i]) * impulse : kInfinity;
+  };
+  const SelectionBlow free = sweep.at(all());
+  for (int i = 0; i < dof(); ++i) {
+    JointLoad& joint = blow.loads[at(i)];
+    joint.free_nm_s = load(free, i);
+    joint.held_nm_s = load(sweep.held(i), i);
+    joint.decision = decide_mode(joint.held_nm_s, joint.free_nm_s, joint.limits);
+    joint.planned_nm_s = std::abs(blow.prediction.axis_impulse_nm_s[i]);
+  }
 }
 
-std::array<JointState, kMaxJoints> Planner::states(const Blow& blow, std::uint32_t passive) const {
-  std::array<JointState, kMaxJoints> joints{};
-  for (int i = 0; i < dof(); ++i) {
-    if ((passive >> i & 1U) == 0) joints[at(i)] = {JointHold::controlled, blow.loads[at(i)].controlled_inertia_kg_m2};
-  }
-  return joints;
-}
-
-/// Chooses the passive joints at this pose and speed. False: no selection stays below the repeated peak.
-bool Planner::select(Blow& blow) const {
-  const ImpactPrediction all_free = predict_with(blow, {});
-  std::uint32_t candidates = 0;
-  blow.selections.clear();
-  blow.why.clear();
-  for (int i = 0; i < dof(); ++i) {
-    JointLoad& load = blow.loads[at(i)];
-    const JointDescription& joint = robot_.joints[at(i)];
-    std::array<JointState, kMaxJoints> held{};
-    held[at(i)].hold = JointHold::held;
-    const ImpactPrediction one_held = predict_with(blow, held);
-    load.free_nm_s = all_free.feasible ? std::abs(all_free.axis_impulse_nm_s[i]) : kInfinity;
-    load.held_nm_s = one_held.feasible ? std::abs(one_held.axis_impulse_nm_s[i]) : kInfinity;
-    load.limits = impulse_limits(joint.transmission, request_.contact_duration_s);
-    load.decision = decide_mode(load.held_nm_s, load.free_nm_s, load.limits);
-    load.controlled_inertia_kg_m2 = controlled_extra_inertia(
-        joint.control.position_gain_nm_rad, joint.control.velocity_gain_nm_s_rad, request_.contact_duration_s);
-    if (load.decision == ModeDecision::refuse) {
-      blow.why = fmt::format("{} would carry {:.3f} N m s even when free, repeated peak allows {:.3f}", joint.name,
-                             load.free_nm_s, load.limits.repeated_nm_s);
-    }
-    if (load.decision != ModeDecision::active) candidates |= 1U << i;
-  }
-  if (!request_.passive && request_.mode == PassiveMode::planned && !blow.why.empty()) return false;
-
-  std::array<double, kMaxJoints> rated{};
-  for (int i = 0; i < dof(); ++i) rated[at(i)] = blow.loads[at(i)].limits.rated_nm_s;
-  const std::span<const double> rated_limits(rated.data(), at(dof()));
-
-  const auto weigh_selection = [&](std::uint32_t passive) {
-    const ImpactPrediction prediction = predict_with(blow, states(blow, passive));
-    SelectionCandidate c;
-    c.passive = passive;
-    c.impulse_n_s = prediction.impulse_n_s;
-    c.load_ratio_per_n_s = load_ratio_per_impulse(prediction, rated_limits);
-    c.feasible = prediction.feasible;
-    for (int i = 0; c.feasible && i < dof(); ++i) {
-      const double carried = std::abs(prediction.axis_impulse_nm_s[i]);
-      const bool active = (passive >> i & 1U) == 0;
-      if (active && carried > blow.loads[at(i)].limits.rated_nm_s) c.overloads_active = true;
-      if (carried <= blow.loads[at(i)].limits.repeated_nm_s) continue;
-      c.feasible = false;
-      c.note = fmt::format("{} would carry {:.3f} N m s, repeated peak allows {:.3f}", robot_.joints[at(i)].name,
-                           carried, blow.loads[at(i)].limits.repeated_nm_s);
-    }
-    if (!prediction.feasible) c.note = "the arm could not yield";
-    blow.selections.push_back(c);
+/// The selections of the pose weighed last, which must be `blow`: the chosen one, then the lightest of the others.
+void Planner::explain_selections(const Blow& blow, StrikePlan& plan) {
+  constexpr std::size_t kListed = 16;
+  const auto speed = [&](const Weighed& w) { return blow.speed_m_s / blow.wanted_speed_m_s * w.wanted_m_s; };
+  const auto feasible = [&](const Weighed& w) { return w.allowed_m_s >= (1.0 - 1e-9) * speed(w); };
+  const auto overloads = [&](const Weighed& w) { return speed(w) > w.considerate_m_s; };
+  const auto needless = [&](const Weighed& w) {
+    return request_.mode == PassiveMode::planned && speed(w) <= w.needless_m_s;
   };
-  const std::uint32_t all = (1U << dof()) - 1U;
-  if (request_.passive) {
-    weigh_selection(*request_.passive);
-  } else
-    switch (request_.mode) {
-      case PassiveMode::never:
-        weigh_selection(0);
-        break;
-      case PassiveMode::always:
-        weigh_selection(all);
-        break;
-      case PassiveMode::planned:
-        // Every subset of the candidates, the empty one first.
-        for (std::uint32_t subset = 0;; subset = (subset - candidates) & candidates) {
-          weigh_selection(subset);
-          if (subset == candidates) break;
-        }
-        break;
-    }
-
-  // Whoever would carry more than rated while active goes passive if anything helps; after that the lightest load wins.
-  const auto better = [](const SelectionCandidate& a, const SelectionCandidate& b) {
-    if (a.overloads_active != b.overloads_active) return b.overloads_active;
-    return a.load_ratio_per_n_s < b.load_ratio_per_n_s;
+  plan.selections_weighed = static_cast<int>(weighed_.size());
+  const auto before = [&](const Weighed& a, const Weighed& b) {
+    if ((a.passive == blow.passive) != (b.passive == blow.passive)) return a.passive == blow.passive;
+    if (feasible(a) != feasible(b)) return feasible(a);
+    if (overloads(a) != overloads(b)) return overloads(b);
+    if (needless(a) != needless(b)) return needless(b);
+    if (a.load_ratio_per_n_s != b.load_ratio_per_n_s) return a.load_ratio_per_n_s < b.load_ratio_per_n_s;
+    return a.passive < b.passive;
   };
-  const SelectionCandidate* best = nullptr;
-  for (const SelectionCandidate& c : blow.selections) {
-    if (c.feasible && (best == nullptr || better(c, *best))) best = &c;
-  }
-  if (best == nullptr) {
-    blow.why = blow.selections.front().note;
-    return false;
-  }
-  const double least = best->load_ratio_per_n_s;
-  for (const SelectionCandidate& c : blow.selections) {
-    const bool tie =
-        c.feasible && c.overloads_active == best->overloads_active && c.load_ratio_per_n_s <= (1.0 + kTie) * least;
-    if (tie && std::popcount(c.passive) < std::popcount(best->passive)) best = &c;
-  }
-  blow.passive = best->passive;
-  for (SelectionCandidate& c : blow.selections) {
-    if (&c == best) {
+  const auto listed = weighed_.begin() + static_cast<std::ptrdiff_t>(std::min(kListed, weighed_.size()));
+  std::partial_sort(weighed_.begin(), listed, weighed_.end(), before);
+  const Weighed best = weighed_.front();
+  for (auto w = weighed_.begin(); w != listed; ++w) {
+    SelectionCandidate& c = plan.selections.emplace_back();
+    c.passive = w->passive;
+    c.feasible = feasible(*w);
+    c.overloads_active = overloads(*w);
+    c.needless = needless(*w);
+    c.load_ratio_per_n_s = w->load_ratio_per_n_s;
+    c.impulse_n_s = w->impulse_n_s_per_m_s * speed(*w);
+    if (w->passive == blow.passive) {
       c.note = "chosen";
-    } else if (c.feasible && c.overloads_active && !best->overloads_active) {
+    } else if (!c.feasible && w->allowed_m_s > 0.0) {
+      const JointLoad& joint = blow.loads[at(w->limiting_joint)];
+      c.note = fmt::format("{} would carry {:.3f} N m s, repeated peak allows {:.3f}",
+                           robot_.joints[at(w->limiting_joint)].name,
+                           joint.limits.repeated_nm_s * speed(*w) / w->allowed_m_s, joint.limits.repeated_nm_s);
+    } else if (!c.feasible) {
+      c.note = std::isfinite(w->impulse_n_s_per_m_s)
+                   ? fmt::format("{} would fall too far", robot_.joints[at(w->limiting_joint)].name)
+                   : "the arm could not yield";
+    } else if (c.overloads_active && !overloads(best)) {
       c.note = "a joint left active would carry more than its rated limit";
-    } else if (c.feasible && c.load_ratio_per_n_s <= (1.0 + kTie) * least) {
+    } else if (c.needless && !needless(best)) {
+      c.note = "a joint would be passive that need not be: even held it carries no more than rated";
+    } else if (c.load_ratio_per_n_s <= (1.0 + kTie) * best.load_ratio_per_n_s) {
       c.note = "no lighter, and not fewer joints passive";
-    } else if (c.feasible) {
-      c.note = fmt::format("loads {:.2f} times the best", c.load_ratio_per_n_s / least);
+    } else {
+      c.note = fmt::format("loads {:.2f} times the best", c.load_ratio_per_n_s / best.load_ratio_per_n_s);
     }
   }
-  blow.prediction = predict_with(blow, states(blow, blow.passive));
-  for (int i = 0; i < dof(); ++i) {
-    blow.loads[at(i)].planned_nm_s = std::abs(blow.prediction.axis_impulse_nm_s[i]);
-  }
-  return true;
-}
-
-double Planner::measure_of(const Blow& blow) const {
-  switch (request_.measure) {
-    case StrikeMeasure::load_ratio: {
-      double ratio = 0.0;
-      for (int i = 0; i < dof(); ++i) {
-        ratio = std::max(ratio, blow.loads[at(i)].planned_nm_s / blow.loads[at(i)].limits.rated_nm_s);
-      }
-      return ratio / blow.prediction.impulse_n_s;
-    }
-    case StrikeMeasure::internal_impact:
-      return internal_impact_measure(chain_, chain_.pose(blow.pose.q), chain_.reach_m(), request_.rotors,
-                                     request_.formulation)
-          .w_ii;
-    case StrikeMeasure::effective_mass:
-      return blow.prediction.effective_mass_kg;
-  }
-  return kInfinity;
-}
-
-/// Velocity, selection and measure of a pose; slows down until the gears stand it.
-void Planner::weigh(Blow& blow) const {
-  if (below_board(chain_.pose(blow.pose.q))) {
-    blow.why = "a link would be inside the board in this pose";
-    return;
-  }
-  const Jacobian J_h = chain_.jacobian(blow.pose.q);
-  const JointVector limit = impact_speed_limits();
-  const JointVector unit = unit_strike_velocity(J_h, request_.normal, limit);
-  if (unit.isZero()) {
-    blow.why = "the face cannot move along the nail in this pose";
-    return;
-  }
-  double speed = kInfinity;
-  for (int i = 0; i < dof(); ++i) {
-    blow.loads[at(i)].qd_limit_rad_s = limit[i];
-    if (std::abs(unit[i]) > 0.0) speed = std::min(speed, limit[i] / std::abs(unit[i]));
-  }
-  blow.wanted_speed_m_s = speed;
-  for (double share = 1.0; share >= kLeastSpeedShare; share *= kSlowDown) {
-    blow.speed_m_s = share * speed;
-    blow.qd = unit * blow.speed_m_s;
-    if (!select(blow)) continue;
-    blow.measure = measure_of(blow);
-    blow.feasible = std::isfinite(blow.measure);
-    if (!blow.feasible) blow.why = "the predicted impulse is not usable";
-    return;
-  }
-  blow.why += fmt::format(" (at {:.3f} m/s, the slowest blow worth striking here)", blow.speed_m_s);
 }
 
 /// Best first; those as good as the best to within a tie by the least travel (the order of the inverse kinematics).
@@ -324,6 +451,39 @@ std::vector<std::size_t> Planner::ranked(const std::vector<Blow>& blows) const {
   });
   std::sort(order.begin(), ties);
   return order;
+}
+
+/// Along the null space of the best poses to better ones, which join the others: a search without derivatives, because
+/// the measure is a largest of loads under a best of selections.
+void Planner::improve(const FaceTarget& target, std::vector<Blow>& blows) {
+  constexpr std::size_t kStarts = 6;
+  const auto cost = [&](const Blow& blow) {
+    if (!blow.feasible) return 1e3;
+    const double value = std::log(blow.measure);
+    return (smaller_is_better() ? value : -value) +
+           kRoomMatters * (1.0 - blow.back_swing_rad / robot_.task.back_swing_rad);
+  };
+  std::vector<std::size_t> order = ranked(blows);
+  std::stable_sort(order.begin(), order.end(),
+                   [&](std::size_t a, std::size_t b) { return cost(blows[a]) < cost(blows[b]); });
+  if (order.size() > kStarts) order.resize(kStarts);
+  const NullSpaceSearch search(robot_, chain_, target);
+  std::vector<Blow> found;
+  for (const std::size_t k : order) {
+    Blow trial;
+    const auto cost_at = [&](const FaceSolution& pose) {
+      trial.pose = pose;
+      weigh(trial);
+      return cost(trial);
+    };
+    const auto better = search.improve(blows[k].pose, cost_at);
+    if (!better) continue;
+    Blow& blow = found.emplace_back();
+    blow.pose = *better;
+    weigh(blow);
+    if (!blow.feasible || !(cost(blow) < cost(blows[k]) - kTie)) found.pop_back();
+  }
+  for (Blow& blow : found) blows.push_back(std::move(blow));
 }
 
 /// How far the face centre is past the head, m, along -normal.
@@ -510,17 +670,14 @@ std::optional<Obstacle> Planner::build_at_speed(const Blow& blow, StrikePlan& pl
 }
 
 /// Trajectories of a blow; slower if they ask too much of the joints. Returns why not.
-std::optional<std::string> Planner::build(Blow& blow, StrikePlan& plan) const {
+std::optional<std::string> Planner::build(Blow& blow, StrikePlan& plan) {
   std::optional<std::string> first;
-  while (blow.speed_m_s >= kLeastSpeedShare * blow.wanted_speed_m_s) {
+  while (blow.feasible) {
     const auto why = build_at_speed(blow, plan);
     if (!why) return std::nullopt;
     if (!first) first = why->sentence;
     if (!why->slower_helps) break;
-    blow.qd *= kSlowDown * kSlowDown;
-    blow.speed_m_s *= kSlowDown * kSlowDown;
-    if (!select(blow)) break;
-    blow.measure = measure_of(blow);
+    weigh(blow, kSlowDown * blow.speed_m_s / blow.wanted_speed_m_s);
   }
   return first;
 }
@@ -599,6 +756,7 @@ StrikePlan Planner::plan() {
     blow.pose = solution;
     weigh(blow);
   }
+  if (dof() > 3) improve(target, blows);
 
   StrikePlan plan;
   const std::vector<std::size_t> order = ranked(blows);
@@ -623,7 +781,10 @@ StrikePlan Planner::plan() {
                        blows.size(), blows.size() == 1 ? "" : "s", first_reason));
   }
 
-  const Blow& blow = blows[chosen];
+  Blow& blow = blows[chosen];
+  weigh(blow, blow.speed_m_s / blow.wanted_speed_m_s);  // the selections below are of this pose
+  detail(blow);
+  explain_selections(blow, plan);
   plan.q_impact = blow.pose.q;
   plan.qd_impact = blow.qd;
   plan.head_position_m = request_.head_position_m;
@@ -645,22 +806,39 @@ StrikePlan Planner::plan() {
   plan.effective_mass_kg = blow.prediction.effective_mass_kg;
   plan.measure = request_.measure;
   plan.measure_value = blow.measure;
-  plan.selections = blow.selections;
   time_the_switch(blow, plan);
 
+  std::vector<std::size_t> listed = order;
   for (std::size_t k = 0; k < blows.size(); ++k) {
+    if (std::find(order.begin(), order.end(), k) == order.end()) listed.push_back(k);
+  }
+  std::stable_partition(listed.begin(), listed.end(), [&](std::size_t k) { return blows[k].feasible; });
+  for (const std::size_t k : listed) {
+    Blow& other = blows[k];
     PoseCandidate& c = plan.poses.emplace_back();
-    c.q = blows[k].pose.q;
-    c.tilt_rad = blows[k].pose.tilt_rad;
-    c.lateral_m = blows[k].pose.lateral_error_m;
-    c.speed_m_s = blows[k].speed_m_s;
-    c.passive = blows[k].passive;
-    c.measure = blows[k].measure;
-    c.feasible = blows[k].feasible;
+    c.q = other.pose.q;
+    c.tilt_rad = other.pose.tilt_rad;
+    c.lateral_m = other.pose.lateral_error_m;
+    c.speed_m_s = other.speed_m_s;
+    c.passive = other.passive;
+    c.measure = other.measure;
+    c.back_swing_rad = other.back_swing_rad;
+    c.feasible = other.feasible;
+    c.load_share = JointVector::Zero(dof());
+    if (other.qd.size() == dof()) {
+      detail(other);
+      for (int i = 0; i < dof(); ++i) {
+        c.load_share[i] = other.loads[at(i)].planned_nm_s / other.loads[at(i)].limits.rated_nm_s;
+      }
+      c.impulse_n_s = other.prediction.impulse_n_s;
+      c.swing_s = kEvenSwing * other.back_swing_rad / largest_magnitude(other.qd);
+    }
     if (k == chosen) {
+      c.back_swing_rad = plan.back_swing_rad;
+      c.swing_s = plan.contact_time.seconds();
       c.note = "chosen";
-    } else if (!blows[k].feasible) {
-      c.note = blows[k].why;
+    } else if (!other.feasible) {
+      c.note = other.why;
     } else if (std::abs(c.measure - plan.measure_value) <= kTie * std::abs(plan.measure_value)) {
       c.note = "as good, but further from the present pose";
     } else {
@@ -685,27 +863,35 @@ StrikePlan Planner::plan() {
 
 }  // namespace
 
-void validate(const RobotDescription& robot, const StrikeRequest& r) {
-  if (!r.head_position_m.allFinite()) refuse("strike request: head_position_m is not finite");
+std::string validate_input(const RobotDescription& robot, const PlanInput& r) {
+  if (!r.head_position_m.allFinite()) return "plan: head_position_m is not finite; give three numbers in m";
   if (!(std::abs(r.normal.norm() - 1.0) <= 1e-6)) {
-    refuse(fmt::format("strike request: normal has length {:.6g}, must be 1", r.normal.norm()));
+    return fmt::format("plan: normal has length {:.6g}, must be 1", r.normal.norm());
   }
-  const auto in_range = [](const char* name, double value, double low, double high, const char* unit) {
-    if (!(value >= low && value <= high)) {
-      refuse(fmt::format("strike request: {} is {:.6g} {}, allowed {:.6g} to {:.6g} {}", name, value, unit, low, high,
-                         unit));
-    }
-  };
-  in_range("board_distance_m", r.board_distance_m, 0.0, 1.0, "m");
-  in_range("restitution", r.restitution, 0.0, 1.0, "(no unit)");
-  in_range("nail_mass_kg", r.nail_mass_kg, 1e-6, kInfinity, "kg");
-  in_range("contact_duration_s", r.contact_duration_s, 1e-4, 1.0, "s");
-  in_range("follow_through_m", r.follow_through_m, 0.0, 0.2, "m");
-  in_range("speed_share", r.speed_share, 1e-3, 1.0, "(no unit)");
+  const struct {
+    const char* name;
+    double value, low, high;
+    const char* unit;
+  } ranges[] = {{"board_distance_m", r.board_distance_m, 0.0, 1.0, "m"},
+                {"restitution", r.restitution, 0.0, 1.0, "(no unit)"},
+                {"nail_mass_kg", r.nail_mass_kg, 1e-6, kInfinity, "kg"},
+                {"contact_duration_s", r.contact_duration_s, 1e-4, 1.0, "s"},
+                {"follow_through_m", r.follow_through_m, 0.0, 0.2, "m"},
+                {"speed_share", r.speed_share, 1e-3, 1.0, "(no unit)"},
+                {"wanted_penetration_m", r.wanted_penetration_m, 0.0, 0.2, "m"}};
+  for (const auto& [name, value, low, high, unit] : ranges) {
+    if (value >= low && value <= high) continue;
+    return fmt::format("plan: {} is {:.6g} {}, allowed {:.6g} to {:.6g} {}", name, value, unit, low, high, unit);
+  }
   if (r.start.size() != robot.dof()) {
-    refuse(fmt::format("strike request: start has {} joints, the robot has {}", r.start.size(), robot.dof()));
+    return fmt::format("plan: start has {} joints, the robot has {}", r.start.size(), robot.dof());
   }
-  if (!r.start.allFinite()) refuse("strike request: start is not finite");
+  if (!r.start.allFinite()) return "plan: start is not finite; give one angle in rad per joint";
+  if (r.passive && (*r.passive >> robot.dof()) != 0) {
+    return fmt::format("plan: passive is {:#x}, a joint the robot with its {} joints does not have", *r.passive,
+                       robot.dof());
+  }
+  return {};
 }
 
 JointVector unit_strike_velocity(const Jacobian& J_h, const Eigen::Vector3d& normal,
@@ -747,9 +933,10 @@ JointVector unit_strike_velocity(const Jacobian& J_h, const Eigen::Vector3d& nor
   return x.cwiseProduct(scale);
 }
 
-StrikePlan plan_strike(const RobotDescription& robot, const Chain& chain, const StrikeRequest& request) {
-  validate(robot, request);
-  return Planner(robot, chain, request).plan();
+StrikePlan plan(const RobotDescription& robot, const Chain& chain, const PlanInput& input) {
+  const std::string complaint = validate_input(robot, input);
+  if (!complaint.empty()) refuse(complaint);
+  return Planner(robot, chain, input).plan();
 }
 
 PredictInput predict_input(const StrikePlan& plan, const ContactLaw& contact) noexcept {

@@ -18,9 +18,10 @@ namespace mrr::sup {
 
 /// Which joints may go passive.
 enum class PassiveMode : std::uint8_t {
-  planned,  ///< as the prediction says
-  never,    ///< all stay active: the comparison
-  always,   ///< all go passive
+  planned,   ///< as the prediction says: of the joints that would carry more than rated if held, the lightest set
+  never,     ///< all stay active: the comparison
+  always,    ///< all go passive
+  lightest,  ///< any set, whatever loads the joints least, even where none needs it
 };
 
 /// By what poses are ranked (theory: measures).
@@ -30,7 +31,8 @@ enum class StrikeMeasure : std::uint8_t {
   effective_mass,   ///< 1/(n^T W n), largest wins
 };
 
-struct StrikeRequest {
+/// What is to be struck, what is known of it, and how to choose.
+struct PlanInput {
   Eigen::Vector3d head_position_m = Eigen::Vector3d::Zero();      ///< estimated centre of the nail's head, base frame
   Eigen::Vector3d normal = Eigen::Vector3d::UnitZ();              ///< unit, from the board into the robot's space
   double board_distance_m = 0.0;                                  ///< head to flush, >= 0
@@ -45,11 +47,15 @@ struct StrikeRequest {
   RotorModel rotors = RotorModel::sym;
   JointVector start;         ///< present position, rad
   double speed_share = 1.0;  ///< of the speed the limits allow, times TaskDescription::max_speed_share; 0..1
-  std::uint64_t seed = 1;    ///< of the inverse kinematics
+  /// > 0: not as fast as the limits allow, but the slowest blow that drives the nail this far, by P t_s / M* (33),
+  /// (34), with the M* and t_s given here. A nail that was never seen to move (M* infinite) is struck as fast as
+  /// allowed.
+  double wanted_penetration_m = 0.0;
+  std::uint64_t seed = 1;  ///< of the inverse kinematics and of the search along the null space
 };
 
-/// Throws PlanError with one sentence naming the field, its value and what is allowed.
-void validate(const RobotDescription& robot, const StrikeRequest& request);
+/// Empty if `input` can be planned with; else one sentence naming the field, its value, unit and what is allowed.
+[[nodiscard]] std::string validate_input(const RobotDescription& robot, const PlanInput& input);
 
 /// Loads of one joint, Nm s, magnitudes.
 struct JointLoad {
@@ -65,8 +71,9 @@ struct JointLoad {
 /// One selection of passive joints that was weighed at the chosen pose and speed.
 struct SelectionCandidate {
   std::uint32_t passive = 0;        ///< bit i = joint i (joint order)
-  bool feasible = false;            ///< all loads at most repeated peak
+  bool feasible = false;            ///< all loads at most repeated peak, no passive joint falls out of its travel
   bool overloads_active = false;    ///< a joint left active would carry more than its rated limit
+  bool needless = false;            ///< a joint is passive that even held would carry no more than its rated limit
   double load_ratio_per_n_s = 0.0;  ///< max_i load/rated per newton second
   double impulse_n_s = 0.0;
   std::string note;  ///< why it lost, or "chosen"
@@ -80,6 +87,10 @@ struct PoseCandidate {
   double speed_m_s = 0.0;
   std::uint32_t passive = 0;
   double measure = 0.0;
+  JointVector load_share;       ///< predicted axis impulse of each joint over its rated limit
+  double impulse_n_s = 0.0;     ///< predicted, of the instant
+  double back_swing_rad = 0.0;  ///< room: how far the joint that travels most can go back, at most what the task asks
+  double swing_s = 0.0;         ///< from the back-swing to contact, if torques allow (the chosen one's is exact)
   bool feasible = false;
   std::string note;  ///< why it lost, or "chosen"
 };
@@ -121,13 +132,14 @@ struct StrikePlan {
   std::string follow_through_note;  ///< empty, or why it is not the one asked for
 
   // The reasons.
-  std::vector<PoseCandidate> poses;
-  std::vector<SelectionCandidate> selections;  ///< at the chosen pose
+  std::vector<PoseCandidate> poses;            ///< best first
+  std::vector<SelectionCandidate> selections;  ///< at the chosen pose, the chosen first, then the lightest; at most 16
+  int selections_weighed = 0;                  ///< at the chosen pose
   std::string why;                             ///< one sentence
 };
 
 /// Plans the blow (theory: the strike). Deterministic. Throws PlanError with one clear sentence.
-[[nodiscard]] StrikePlan plan_strike(const RobotDescription& robot, const Chain& chain, const StrikeRequest& request);
+[[nodiscard]] StrikePlan plan(const RobotDescription& robot, const Chain& chain, const PlanInput& input);
 
 /// Joint velocity that moves the face along -normal, at 1 m/s: the least total motion of joints, each relative to its
 /// limit, sideways motion penalised softly so that a singular (stretched) pose stays well behaved. Zero if the face

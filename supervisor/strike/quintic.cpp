@@ -30,12 +30,11 @@ struct Roots {
   int count = 0;
 };
 
-/// Roots in (0, 1) at which the sign changes: between neighbouring extremes the polynomial is monotone, so bisection
-/// finds them all.
-Roots roots_between_0_and_1(const Polynomial& p) noexcept {
+/// Roots in (0, 1) at which the sign changes, ascending. `turns`: those of the derivative; between neighbouring ones
+/// the polynomial is monotone, so Newton's steps kept within a shrinking bracket find them all.
+Roots roots_between(const Polynomial& p, const Roots& turns) noexcept {
+  const Polynomial slope = p.derivative();
   Roots found;
-  if (p.degree == 0) return found;
-  const Roots turns = roots_between_0_and_1(p.derivative());
   double low = 0.0;
   double at_low = p(0.0);
   for (int k = 0; k <= turns.count; ++k) {
@@ -44,11 +43,17 @@ Roots roots_between_0_and_1(const Polynomial& p) noexcept {
     if ((at_low < 0.0) != (at_high < 0.0)) {
       double a = low;
       double b = high;
-      for (int i = 0; i < 60 && b - a > 0.0; ++i) {
-        const double middle = 0.5 * (a + b);
-        ((p(middle) < 0.0) == (at_low < 0.0) ? a : b) = middle;
+      double s = a + (b - a) * at_low / (at_low - at_high);
+      for (int i = 0; i < 60; ++i) {
+        const double value = p(s);
+        ((value < 0.0) == (at_low < 0.0) ? a : b) = s;
+        const double newton = s - value / slope(s);
+        const double next = newton > a && newton < b ? newton : 0.5 * (a + b);  // NaN: the middle
+        const bool done = std::abs(next - s) <= 1e-15;
+        s = next;
+        if (done) break;
       }
-      found.s[static_cast<std::size_t>(found.count++)] = 0.5 * (a + b);
+      found.s[static_cast<std::size_t>(found.count++)] = s;
     }
     low = high;
     at_low = at_high;
@@ -56,11 +61,10 @@ Roots roots_between_0_and_1(const Polynomial& p) noexcept {
   return found;
 }
 
-Range range_of(const Polynomial& p) noexcept {
+Range range_of(const Polynomial& p, const Roots& turns) noexcept {
   const double first = p(0.0);
   const double last = p(1.0);
   Range range{std::min(first, last), std::max(first, last)};
-  const Roots turns = roots_between_0_and_1(p.derivative());
   for (int k = 0; k < turns.count; ++k) {
     const double value = p(turns.s[static_cast<std::size_t>(k)]);
     range.low = std::min(range.low, value);
@@ -110,14 +114,19 @@ QuinticState Quintic::sample(double t) const noexcept {
           ((20.0 * c[5] * t + 12.0 * c[4]) * t + 6.0 * c[3]) * t + 2.0 * c[2]};
 }
 
-Range Quintic::position_range() const noexcept { return range_of(normalised(c_, duration_s_)); }
-
-Range Quintic::velocity_range() const noexcept {
-  return scaled(range_of(normalised(c_, duration_s_).derivative()), 1.0 / duration_s_);
-}
-
-Range Quintic::acceleration_range() const noexcept {
-  return scaled(range_of(normalised(c_, duration_s_).derivative().derivative()), 1.0 / (duration_s_ * duration_s_));
+QuinticExtremes Quintic::extremes() const noexcept {
+  const Polynomial position = normalised(c_, duration_s_);
+  const Polynomial velocity = position.derivative();
+  const Polynomial acceleration = velocity.derivative();
+  const Polynomial jerk = acceleration.derivative();
+  const Polynomial snap = jerk.derivative();
+  const Roots of_snap = roots_between(snap, {});
+  const Roots of_jerk = roots_between(jerk, of_snap);
+  const Roots of_acceleration = roots_between(acceleration, of_jerk);
+  const Roots of_velocity = roots_between(velocity, of_acceleration);
+  const double rate = 1.0 / duration_s_;
+  return {range_of(position, of_velocity), scaled(range_of(velocity, of_acceleration), rate),
+          scaled(range_of(acceleration, of_jerk), rate * rate), scaled(range_of(jerk, of_snap), rate * rate * rate)};
 }
 
 }  // namespace mrr::sup

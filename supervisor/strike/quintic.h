@@ -21,6 +21,14 @@ struct Range {
   [[nodiscard]] double magnitude() const noexcept { return high > -low ? high : -low; }
 };
 
+/// rad, rad/s, rad/s^2, rad/s^3.
+struct QuinticExtremes {
+  Range position;
+  Range velocity;
+  Range acceleration;
+  Range jerk;
+};
+
 /// p(t) = sum c_k t^k, k = 0..5, for 0 <= t <= duration.
 class Quintic {
  public:
@@ -31,10 +39,11 @@ class Quintic {
   /// State at t, s. Outside 0..duration the polynomial goes on: the caller clamps.
   [[nodiscard]] QuinticState sample(double t_s) const noexcept;
 
-  /// Exact extremes over the duration: ends and the roots of the derivative.
-  [[nodiscard]] Range position_range() const noexcept;
-  [[nodiscard]] Range velocity_range() const noexcept;
-  [[nodiscard]] Range acceleration_range() const noexcept;
+  /// Exact, over the whole duration: at its ends and at the roots of each derivative.
+  [[nodiscard]] QuinticExtremes extremes() const noexcept;
+  [[nodiscard]] Range position_range() const noexcept { return extremes().position; }
+  [[nodiscard]] Range velocity_range() const noexcept { return extremes().velocity; }
+  [[nodiscard]] Range acceleration_range() const noexcept { return extremes().acceleration; }
 
   /// c_0..c_5.
   [[nodiscard]] const std::array<double, 6>& coefficients() const noexcept { return c_; }

@@ -99,9 +99,9 @@ std::string HammerSession::bring_up_report() const {
   return text;
 }
 
-StrikeRequest HammerSession::next_request() const {
+PlanInput HammerSession::next_request() const {
   const TaskDescription& task = robot_.task;
-  StrikeRequest request;
+  PlanInput request;
   request.normal = task.normal;
   request.head_position_m = task.nail_position_m + head_height_m_ * task.normal;
   request.board_distance_m = std::max(0.0, head_height_m_);
@@ -119,7 +119,7 @@ StrikeRequest HammerSession::next_request() const {
 
 void HammerSession::plan_next() {
   try {
-    plan_ = plan_strike(robot_, chain_, next_request());
+    plan_ = sup::plan(robot_, chain_, next_request());
   } catch (const PlanError& error) {
     finish(Verdict::plan_refused, error.what());
     return;

@@ -72,7 +72,7 @@ class HammerSession {
   void finish(Verdict verdict, std::string reason);
   void plan_next();
   void learn();
-  [[nodiscard]] StrikeRequest next_request() const;
+  [[nodiscard]] PlanInput next_request() const;
   [[nodiscard]] std::string bring_up_report() const;
 
   const RobotDescription& robot_;

@@ -46,10 +46,11 @@ class Worst {
 void check_kinematics(const MotionLimits& limits, const JointTrajectory& trajectory, std::size_t segment,
                       Worst& worst) noexcept {
   for (int i = 0; i < trajectory.dof(); ++i) {
-    const Quintic& piece = trajectory.piece(segment, i);
-    worst.enter_position(i, piece.position_range(), limits.lower_rad[i], limits.upper_rad[i]);
-    worst.enter(LimitKind::velocity, i, piece.velocity_range().magnitude(), limits.velocity_rad_s[i]);
-    worst.enter(LimitKind::acceleration, i, piece.acceleration_range().magnitude(), limits.acceleration_rad_s2[i]);
+    const QuinticExtremes extremes = trajectory.piece(segment, i).extremes();
+    worst.enter_position(i, extremes.position, limits.lower_rad[i], limits.upper_rad[i]);
+    worst.enter(LimitKind::velocity, i, extremes.velocity.magnitude(), limits.velocity_rad_s[i]);
+    worst.enter(LimitKind::acceleration, i, extremes.acceleration.magnitude(), limits.acceleration_rad_s2[i]);
+    worst.enter(LimitKind::jerk, i, extremes.jerk.magnitude(), limits.jerk_rad_s3[i]);
   }
 }
 
@@ -125,7 +126,8 @@ void JointTrajectory::sample(Duration t, JointVector& q, JointVector& qd, JointV
 
 MotionLimits motion_limits(const RobotDescription& robot) {
   const int n = robot.dof();
-  MotionLimits limits{JointVector(n), JointVector(n), JointVector(n), JointVector(n), JointVector(n), JointVector(n)};
+  MotionLimits limits{JointVector(n), JointVector(n), JointVector(n), JointVector(n),
+                      JointVector(n), JointVector(n), JointVector(n)};
   for (int i = 0; i < n; ++i) {
     const JointDescription& joint = robot.joints[static_cast<std::size_t>(i)];
     const double motor = joint.motor.max_velocity_rad_s / joint.transmission.gear_ratio;
@@ -133,6 +135,7 @@ MotionLimits motion_limits(const RobotDescription& robot) {
     limits.upper_rad[i] = joint.limits.upper_rad;
     limits.velocity_rad_s[i] = kVelocityShare * std::min(joint.limits.velocity_rad_s, motor);
     limits.acceleration_rad_s2[i] = kAccelerationShare * joint.limits.acceleration_rad_s2;
+    limits.jerk_rad_s3[i] = kAccelerationShare * joint.limits.jerk_rad_s3;
     limits.torque_nm[i] = kTorqueShare * joint.limits.torque_nm;
     limits.transmission_nm[i] = kTransmissionShare * joint.transmission.repeated_peak_nm;
   }
@@ -150,6 +153,8 @@ std::string describe(const LimitCheck& check, const RobotDescription& robot) {
       return fmt::format("{} would need {:.3f} rad/s, limit {:.3f} rad/s", name, check.value, check.limit);
     case LimitKind::acceleration:
       return fmt::format("{} would need {:.2f} rad/s^2, limit {:.2f} rad/s^2", name, check.value, check.limit);
+    case LimitKind::jerk:
+      return fmt::format("{} would need {:.0f} rad/s^3, limit {:.0f} rad/s^3", name, check.value, check.limit);
     case LimitKind::torque:
       return fmt::format("the drive of {} would need {:.2f} Nm, limit {:.2f} Nm", name, std::abs(check.value),
                          check.limit);

@@ -74,18 +74,19 @@ struct MotionLimits {
   JointVector upper_rad;
   JointVector velocity_rad_s;  ///< URDF and motor
   JointVector acceleration_rad_s2;
+  JointVector jerk_rad_s3;
   JointVector torque_nm;        ///< commanded, joint side: URDF effort
   JointVector transmission_nm;  ///< what the gear carries: repeated peak
 };
 inline constexpr double kVelocityShare = 0.95;
-inline constexpr double kAccelerationShare = 0.9;
+inline constexpr double kAccelerationShare = 0.9;  ///< and of the jerk limit
 inline constexpr double kTorqueShare = 0.9;
 /// Of the repeated peak: the springs of the gears overshoot what inverse dynamics of rigid joints asks of them.
 inline constexpr double kTransmissionShare = 0.75;
 [[nodiscard]] MotionLimits motion_limits(const RobotDescription& robot);
 
 /// Which limit a motion breaks, by how much, where.
-enum class LimitKind : std::uint8_t { none, position, velocity, acceleration, torque, transmission };
+enum class LimitKind : std::uint8_t { none, position, velocity, acceleration, jerk, torque, transmission };
 struct LimitCheck {
   LimitKind worst = LimitKind::none;  ///< none: all respected
   int joint = 0;
@@ -109,7 +110,7 @@ struct MotionTorques {
 [[nodiscard]] LimitCheck check_torques_at(const RobotDescription& robot, const Chain& chain, const MotionLimits& limits,
                                           const JointMotion& motion) noexcept;
 
-/// Checks segment k: position, velocity, acceleration exactly (extremes of the quintics), torques at samples 5 ms
+/// Checks segment k: position, velocity, acceleration, jerk exactly (extremes of the quintics), torques at samples 5 ms
 /// apart, but 24 at least and 400 at most.
 [[nodiscard]] LimitCheck check_segment(const RobotDescription& robot, const Chain& chain, const MotionLimits& limits,
                                        const JointTrajectory& trajectory, std::size_t segment) noexcept;

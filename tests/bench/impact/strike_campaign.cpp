@@ -32,7 +32,7 @@ struct Strike {
   std::string board;
   RobotDescription robot;  // with the nail of this strike
   sim::PlantDescription plant;
-  sup::StrikeRequest request;
+  sup::PlanInput request;
   sup::StrikePlan plan;
 };
 
@@ -79,7 +79,7 @@ std::optional<Strike> draw(const RobotDescription& robot, int number) {
     if (!(s.request.start[i] > l.lower_rad && s.request.start[i] < l.upper_rad)) return std::nullopt;
   }
   try {
-    s.plan = sup::plan_strike(s.robot, chain, s.request);
+    s.plan = sup::plan(s.robot, chain, s.request);
   } catch (const PlanError&) {
     return std::nullopt;
   }
@@ -111,11 +111,11 @@ Truth simulate(const Strike& s) {
     }
   }
   // The arm sags a little as the brakes let go: the same blow, approached from where it is.
-  sup::StrikeRequest request = s.request;
+  sup::PlanInput request = s.request;
   request.start = supervisor.reference().q;
   sup::StrikePlan plan;
   try {
-    plan = sup::plan_strike(s.robot, supervisor.chain(), request);
+    plan = sup::plan(s.robot, supervisor.chain(), request);
   } catch (const PlanError&) {
     truth.outcome = "refused by the planner from where the arm is";
     return truth;

@@ -1,4 +1,4 @@
-// Kinematics and dynamics beside Orocos KDL on the same arms and states, and what planning a blow costs.
+// Kinematics and dynamics beside Orocos KDL on the same arms and states.
 // KDL is called through KdlReference: its conversion to Eigen, and what it allocates, are in its figures.
 
 #include <benchmark/benchmark.h>
@@ -7,9 +7,9 @@
 #include <filesystem>
 
 #include "common/core/random.h"
+#include "supervisor/impact/external.h"
 #include "supervisor/model/chain.h"
 #include "supervisor/model/kdl_reference.h"
-#include "supervisor/strike/planner.h"
 
 namespace {
 
@@ -83,19 +83,6 @@ void predict(benchmark::State& state) {
   });
 }
 
-void plan_strike(benchmark::State& state) {
-  const Case arm(state.range(0));
-  const TaskDescription& task = arm.robot.task;
-  sup::StrikeRequest request;
-  request.normal = task.normal;
-  request.head_position_m = task.nail_position_m + task.nail_height_m * task.normal;
-  request.board_distance_m = task.nail_height_m;
-  request.contact_duration_s = task.assumed_contact_s;
-  request.start = sup::JointVector(arm.robot.dof());
-  for (int i = 0; i < arm.robot.dof(); ++i) request.start[i] = arm.robot.joints[static_cast<std::size_t>(i)].park_rad;
-  while (state.KeepRunning()) benchmark::DoNotOptimize(sup::plan_strike(arm.robot, arm.chain, request));
-}
-
 BENCHMARK(face_pose)->ArgName("joints")->Arg(3)->Arg(7);
 BENCHMARK(face_pose_kdl)->ArgName("joints")->Arg(3)->Arg(7);
 BENCHMARK(jacobian)->ArgName("joints")->Arg(3)->Arg(7);
@@ -105,6 +92,5 @@ BENCHMARK(mass_matrix_kdl)->ArgName("joints")->Arg(3)->Arg(7);
 BENCHMARK(inverse_dynamics)->ArgName("joints")->Arg(3)->Arg(7);
 BENCHMARK(inverse_dynamics_kdl)->ArgName("joints")->Arg(3)->Arg(7);
 BENCHMARK(predict)->ArgName("joints")->Arg(3)->Arg(7);
-BENCHMARK(plan_strike)->ArgName("joints")->Arg(3)->Arg(7)->Unit(benchmark::kMillisecond);
 
 }  // namespace

@@ -171,11 +171,12 @@ TEST(ShortestDuration, MeetsTheClosedFormsOfRestToRest) {
   for (int k = 0; k < 200; ++k) {
     const JointVector a = test::random_pose(robot, random);
     const JointVector b = test::random_pose(robot, random);
-    double least = 0.0;  // peak speed 15/8 d/T, peak acceleration 10/sqrt(3) d/T^2
+    double least = 0.0;  // peak speed 15/8 d/T, peak acceleration 10/sqrt(3) d/T^2, jerk 60 d/T^3
     for (int i = 0; i < 3; ++i) {
       const double d = std::abs(b[i] - a[i]);
       least = std::max(least, 15.0 / 8.0 * d / limits.velocity_rad_s[i]);
       least = std::max(least, std::sqrt(10.0 / std::sqrt(3.0) * d / limits.acceleration_rad_s2[i]));
+      least = std::max(least, std::cbrt(60.0 * d / limits.jerk_rad_s3[i]));
     }
     LimitCheck why;
     const auto T = shortest_duration(robot, chain, limits, at_rest(a), at_rest(b), grid, seconds(30.0), why);

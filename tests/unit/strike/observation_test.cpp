@@ -37,13 +37,13 @@ struct Strike {
   Chain chain{robot};
   StrikePlan plan;
   explicit Strike(double height_m = 0.03) {
-    StrikeRequest r;
+    PlanInput r;
     r.head_position_m = robot.task.nail_position_m + height_m * robot.task.normal;
     r.normal = robot.task.normal;
     r.board_distance_m = height_m;
     r.contact_duration_s = robot.task.assumed_contact_s;
     r.start = vector_of({0.0, 0.5, -0.3});
-    plan = plan_strike(robot, chain, r);
+    plan = sup::plan(robot, chain, r);
   }
 };
 

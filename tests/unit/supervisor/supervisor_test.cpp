@@ -54,13 +54,13 @@ class Supervised : public testing::Test {
     return run_until([&] { return supervisor().activity() == activity; });
   }
   [[nodiscard]] sup::StrikePlan plan() {
-    sup::StrikeRequest request;
+    sup::PlanInput request;
     request.normal = robot_.task.normal;
     request.head_position_m = robot_.task.nail_position_m + robot_.task.nail_height_m * request.normal;
     request.board_distance_m = robot_.task.nail_height_m;
     request.mode = sup::PassiveMode::always;
     request.start = supervisor().reference().q;
-    return sup::plan_strike(robot_, supervisor().chain(), request);
+    return sup::plan(robot_, supervisor().chain(), request);
   }
   void enable() {
     supervisor().enable(true);
