@@ -171,7 +171,6 @@ struct Plant::World {
   ContactRecords contacts;
   std::uint64_t contact_count = 0;
   double contact_start_height = 0.0;
-  PerJoint contact_start_torque{};
   Decay decay;
 
   World(RobotDescription r, PlantDescription p, std::uint64_t s)
@@ -456,7 +455,7 @@ void Plant::World::record(const ArmPose& pose, const PerJoint& mean_speed, doubl
     fresh.tilt_rad = tilt_of(cosine);
     contact_start_height = nail_height + h * nail_velocity;
     for (std::size_t i = 0; i < n; ++i) {
-      contact_start_torque[i] = joints[i].transmission;
+      fresh.transmission_before_nm[i] = joints[i].transmission;
       fresh.link_velocity_before_rad_s[i] = v[i];
       fresh.motor_velocity_before_rad_s[i] = vm[i];
     }
@@ -471,7 +470,7 @@ void Plant::World::record(const ArmPose& pose, const PerJoint& mean_speed, doubl
   for (std::size_t i = 0; i < n; ++i) {
     const double torque = joints[i].transmission;
     blow.peak_transmission_torque_nm[i] = std::max(blow.peak_transmission_torque_nm[i], std::abs(torque));
-    blow.transmission_impulse_nm_s[i] += h * (torque - contact_start_torque[i]);
+    blow.transmission_impulse_nm_s[i] += h * (torque - blow.transmission_before_nm[i]);
     blow.link_velocity_after_rad_s[i] = v[i];
     blow.motor_velocity_after_rad_s[i] = vm[i];
   }

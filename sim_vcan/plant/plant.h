@@ -88,6 +88,7 @@ struct ContactRecord {
   double tilt_rad = 0.0;                   ///< at the start
   PerJoint peak_transmission_torque_nm{};  ///< largest |tau_s| during the contact
   PerJoint transmission_impulse_nm_s{};    ///< integral of tau_s - its value at the start
+  PerJoint transmission_before_nm{};       ///< that value: tau_s as the contact began
   PerJoint link_velocity_before_rad_s{};
   PerJoint link_velocity_after_rad_s{};
   PerJoint motor_velocity_before_rad_s{};  ///< joint side

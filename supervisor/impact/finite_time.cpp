@@ -73,7 +73,8 @@ Prediction finite_time_blow(const StrikeArm& arm, const PredictInput& in, bool c
   const Chain& chain = arm.chain;
   const int n = chain.dof();
   Prediction out;
-  out.delta_qd = out.axis_impulse_nm_s = out.carried_before_nm = out.peak_torque_nm = JointVector::Zero(n);
+  out.delta_qd = out.axis_impulse_nm_s = out.blow_impulse_nm_s = out.carried_before_nm = out.peak_torque_nm =
+      JointVector::Zero(n);
   const ChainPose pose = chain.pose(in.q);
   const Jacobian J = chain.jacobian(pose);
   const JointVector lever = J.topRows<3>().transpose().lazyProduct(in.normal);
@@ -178,12 +179,13 @@ Prediction finite_time_blow(const StrikeArm& arm, const PredictInput& in, bool c
   out.carried_before_nm = -(M * accel + h);
   Vector6 external = Vector6::Zero();
   external.head<3>() = P * in.normal;
-  const InternalImpulses internal = internal_impulses(chain, pose, out.delta_qd - accel * T, external, in.formulation);
-  out.axis_impulse_nm_s = internal.axis_nm_s;
+  const InternalImpulses internal = internal_impulses(chain, pose, out.delta_qd, external, in.formulation);
   out.wrench = internal.wrench;
+  out.blow_impulse_nm_s = internal.axis_nm_s;
+  out.axis_impulse_nm_s = internal.axis_nm_s - T * chain.gravity(pose);
   for (int i = 0; i < n; ++i) {
     const double before = out.carried_before_nm[i];
-    const double peak = before + kHalfSinePeak * out.axis_impulse_nm_s[i] / T;
+    const double peak = before + kHalfSinePeak * (out.axis_impulse_nm_s[i] / T - before);
     out.peak_torque_nm[i] = std::max(std::abs(before), std::abs(peak));
   }
   return out;

@@ -13,6 +13,7 @@ namespace mrr::sup {
 namespace {
 
 constexpr double kUnitTolerance = 1e-6;
+constexpr double kReturnShare = 0.4;  // of the limits, as the supervisor goes back
 
 std::size_t at(int i) noexcept { return static_cast<std::size_t>(i); }
 
@@ -97,8 +98,8 @@ Complaint first_complaint(const StrikeArm& arm, const PredictInput& in, Predicti
     if (!(d.torque_limit_nm[0] > 0.0 && d.torque_limit_nm[1] > 0.0))
       return {"torque_limit_nm", d.torque_limit_nm[0], "Nm must be above 0 either way", i};
     if (!(d.presliding_rad > 1e-6 && d.blend_s > 0.0 && d.still_velocity_rad_s > 0.0 && d.damping_nm_s_rad >= 0.0 &&
-          d.sensed_full_trend_nm > 0.0 && d.stop_deceleration_rad_s2 > 0.0 && d.current_bandwidth_hz > 0.0 &&
-          d.sensor_bandwidth_hz > 0.0))
+          d.sensed_full_trend_nm > 0.0 && d.stop_deceleration_rad_s2 > 0.0 && d.return_speed_rad_s > 0.0 &&
+          d.return_acceleration_rad_s2 > 0.0 && d.current_bandwidth_hz > 0.0 && d.sensor_bandwidth_hz > 0.0))
       return {"presliding_rad", d.presliding_rad, "rad and the other times and rates of a drive must be above 0", i};
     const CompensatorDescription& c = d.compensator;
     if (!(finite(c.integral_gain) && finite(c.integral_limit) && finite(c.robust_gain) && finite(c.robust_width) &&
@@ -123,7 +124,11 @@ const char* describe(PredictionModel model) noexcept {
 }
 
 StrikeArm::StrikeArm(const RobotDescription& robot)
-    : chain(robot), tick_s(1.0 / robot.bus.loop_rate_hz), knot_s(1.0 / robot.bus.knot_rate_hz) {
+    : chain(robot),
+      tick_s(1.0 / robot.bus.loop_rate_hz),
+      knot_s(1.0 / robot.bus.knot_rate_hz),
+      lead_s(robot.task.switch_lead_s),
+      face_radius_m(robot.hammer.face_radius_m) {
   for (std::size_t i = 0; i < robot.joints.size(); ++i) {
     const JointDescription& j = robot.joints[i];
     JointDrive& d = drive[i];
@@ -148,6 +153,10 @@ StrikeArm::StrikeArm(const RobotDescription& robot)
     d.blend_s = j.control.passive_blend_s;
     d.resume_slew_nm_s = j.control.resume_torque_slew_nm_s;
     d.stop_deceleration_rad_s2 = j.stop_deceleration_rad_s2();
+    const double vmax =
+        gear > 0.0 ? std::min(j.limits.velocity_rad_s, j.motor.max_velocity_rad_s / gear) : j.limits.velocity_rad_s;
+    d.return_speed_rad_s = kReturnShare * vmax;
+    d.return_acceleration_rad_s2 = kReturnShare * j.limits.acceleration_rad_s2;
     const double peak = gear * j.motor.peak_current_a;
     d.torque_limit_nm = {std::min(j.limits.torque_nm, peak * j.motor.torque_constant_positive_nm_a),
                          std::min(j.limits.torque_nm, peak * j.motor.torque_constant_negative_nm_a)};
@@ -169,7 +178,7 @@ std::string validate_input(const StrikeArm& arm, const PredictInput& input, Pred
 Prediction predict(const StrikeArm& arm, const PredictInput& input, PredictionModel model) noexcept {
   if (first_complaint(arm, input, model).field != nullptr) {
     Prediction none;
-    none.delta_qd = none.axis_impulse_nm_s = none.carried_before_nm = none.peak_torque_nm =
+    none.delta_qd = none.axis_impulse_nm_s = none.blow_impulse_nm_s = none.carried_before_nm = none.peak_torque_nm =
         JointVector::Zero(arm.chain.dof());
     return none;
   }

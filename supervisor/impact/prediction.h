@@ -53,6 +53,8 @@ struct JointDrive {
   double blend_s = 0.003;             ///< active torque fades into passive torque
   double resume_slew_nm_s = 2000.0;
   double stop_deceleration_rad_s2 = 10.0;
+  double return_speed_rad_s = 0.8;  ///< of the unhurried way back
+  double return_acceleration_rad_s2 = 10.0;
   std::array<double, 2> torque_limit_nm{};     ///< largest motor torque in positive, in negative direction
   std::array<double, 3> stiffness_nm_rad{};    ///< K1, K2, K3
   std::array<double, 2> stiffness_break_nm{};  ///< where K1 ends, where K2 ends
@@ -69,8 +71,10 @@ struct StrikeArm {
 
   Chain chain;
   std::array<JointDrive, kMaxJoints> drive{};
-  double tick_s = 1e-3;        ///< of the control loops
-  double knot_s = 4e-3;        ///< of the set points
+  double tick_s = 1e-3;          ///< of the control loops
+  double knot_s = 4e-3;          ///< of the set points
+  double lead_s = 0.012;         ///< TaskDescription::switch_lead_s: a face this near pulls the switch
+  double face_radius_m = 0.012;  ///< a head further than this from the face's centre is not struck
   double sinking_share = 0.8;  ///< the supervisor's: a face still faster than this share of planned sinks with the nail
 };
 
@@ -101,23 +105,25 @@ struct PredictInput {
   double contact_s = std::numeric_limits<double>::quiet_NaN();
 };
 
-/// A blow as predicted. Impulses of joints are of what the blow adds: integrals over the contact of what the
-/// transmission carries, less what it carried when the contact began.
+/// A blow as predicted. Impulses of joints are integrals over the contact of what the transmission carries.
 struct Prediction {
   bool feasible = false;  ///< false: input that is not usable, or nothing yields; the other fields are then zero
   bool approaching = false;
   double impulse_n_s = 0.0;  ///< on the robot along +normal
   double contact_s = 0.0;
+  double start_s = 0.0;  ///< of the contact, after the planned instant
   double peak_force_n = 0.0;
   double penetration_m = 0.0;     ///< by which the nail goes deeper
   double speed_before_m_s = 0.0;  ///< of the face along -normal, as it touches
   double speed_after_m_s = 0.0;
   double effective_mass_kg = 0.0;
   JointVector delta_qd;           ///< of the links, rad/s
-  JointVector axis_impulse_nm_s;  ///< what link i gives link i-1, about the axis; signed
-  JointVector carried_before_nm;  ///< by the transmission as contact begins, same sign
-  JointVector peak_torque_nm;     ///< largest magnitude during contact, what was carried before included
-  /// The whole of it: link i on link i-1, at the centre of joint i, base frame; the axis component is the one above.
+  JointVector axis_impulse_nm_s;  ///< what link i gives link i-1 about the axis, all of it; signed
+  JointVector blow_impulse_nm_s;  ///< the blow's part: less what carrying the arm's weight takes for so long
+  JointVector carried_before_nm;  ///< torque as the contact begins, same sign
+  JointVector peak_torque_nm;     ///< largest magnitude during contact
+  /// The blow's part in full: link i on link i-1, at the centre of joint i, base frame; its axis component is
+  /// `blow_impulse_nm_s`.
   std::array<WrenchImpulse, kMaxJoints> wrench{};
 };
 

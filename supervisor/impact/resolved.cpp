@@ -1,6 +1,7 @@
 #include "supervisor/impact/resolved.h"
 
 #include <Eigen/Cholesky>
+#include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
 #include <numbers>
@@ -11,11 +12,12 @@ namespace mrr::sup {
 namespace {
 
 constexpr double kRunIn_s = 0.012;  // before the switch, so that loops and springs are as they are in motion
+constexpr double kEarliest_s = 0.1;
 constexpr double kLongestStep_s = 2.5e-4;
 constexpr double kStepPerPeriod = 0.35;  // step times the fastest frequency
 constexpr double kMostStepsPerTick = 50.0;
 constexpr double kMergeGap_s = 5e-3;  // touches separated by less are one contact
-constexpr double kLongest_s = 0.4;    // after the planned contact
+constexpr double kLongest_s = 0.6;    // after the planned contact
 // The firmware's own constants.
 constexpr double kObserver_1_s = 2500.0;  // double pole of the velocity observer
 constexpr double kReferenceStill_rad_s = 2e-3;
@@ -27,6 +29,13 @@ constexpr double kTrendMoving_rad_s = 0.05;
 // And the supervisor's.
 constexpr double kRubberGives_m = 0.006;
 constexpr double kLeastLever_m = 0.05;
+constexpr double kGapMargin_m = 5e-4;   // the switch is pulled when the gap is down to speed times lead and this
+constexpr double kPullMargin_s = 5e-3;  // ... unless it is due this soon anyway
+constexpr double kFelt_n = 6.0;         // force from which it takes the blow for begun
+constexpr double kGone_n = 2.4;         // ... and below which, twice in a row, for over
+constexpr double kShortest_s = 0.015;   // what ends sooner was no blow
+constexpr double kSettle_1_s = 100.0;   // a module's reference comes to rest at this rate
+constexpr double kRest_rad_s = 1e-4;
 
 double sat(double x) noexcept { return std::clamp(x, -1.0, 1.0); }
 double sign(double x) noexcept { return x > 0.0 ? 1.0 : (x < 0.0 ? -1.0 : 0.0); }
@@ -102,7 +111,7 @@ struct Joint {
 class Blow {
  public:
   Blow(const StrikeArm& arm, const PredictInput& input) noexcept
-      : arm_(arm), in_(input), n_(arm.chain.dof()), q_(input.q), v_(input.qd) {}
+      : arm_(arm), in_(input), n_(arm.chain.dof()), q_(input.q), v_(input.qd), lever_(input.q) {}
   Prediction run() noexcept;
 
  private:
@@ -110,14 +119,20 @@ class Blow {
   void new_pose() noexcept;
   void expect(double t) noexcept;
   void control(double t) noexcept;
-  double active_torque(int i, const Scalar& s) noexcept;
+  double active_torque(int i, const Scalar& s, double t) noexcept;
+  void supervise(double t) noexcept;
   void resume(double t) noexcept;
   [[nodiscard]] bool sinking() const noexcept;
+  void decide_switch(double t) noexcept;
   void touch() noexcept;
   void step() noexcept;
   void record(double t) noexcept;
   void conclude() noexcept;
   [[nodiscard]] Scalar reference(double t) const noexcept;
+  struct Target {
+    double q, v, a;
+  };
+  [[nodiscard]] Target target(int i, const Scalar& s, double t) const noexcept;
   [[nodiscard]] bool is_passive(int i) const noexcept { return in_.joints[at(i)] == JointHold::free; }
 
   const StrikeArm& arm_;
@@ -132,6 +147,7 @@ class Blow {
   JointVector pose_q_, lever_, bias_;
   JointMatrix inverse_;  // M^-1
   double pose_gap_ = 0.0;
+  bool over_head_ = true;
   JointVector expected_;  // what the supervisor says the links ask for, Nm
   // Contact. Heights are along the normal, over the head's before the blow.
   Eigen::Vector3d head_m_ = Eigen::Vector3d::Zero();
@@ -140,12 +156,23 @@ class Blow {
   double force_ = 0.0;
   bool touched_ = false;
   double began_s_ = 0.0, ended_s_ = 0.0;
-  JointVector begin_v_, begin_accel_, end_v_;
+  JointVector begin_v_, end_v_;
   double begin_height_ = 0.0;
   // Coming back.
   bool resumed_ = false;
   double resumed_s_ = 0.0, stopping_s_ = 1.0;
   Scalar resumed_at_;
+  bool returning_ = false;
+  double return_from_s_ = 0.0, return_s_ = 1.0;
+  JointVector return_q_, return_way_;
+  double switch_s_ = 0.0;  // when passive joints are let go
+  bool in_window_ = false;
+  // As the supervisor feels the blow.
+  double felt_n_s_ = 0.0;
+  double felt_since_s_ = 0.0;
+  int low_ = 0;
+  enum class Felt : std::uint8_t { nothing, touching, over } phase_ = Felt::nothing;
+  double resume_due_s_ = std::numeric_limits<double>::infinity();
   Prediction out_;
 };
 
@@ -156,12 +183,31 @@ Scalar Blow::reference(double t) const noexcept {
           resumed_at_.v * (1.0 - x * x * (3.0 - 2.0 * x)), -6.0 * resumed_at_.v * x * (1.0 - x) / stopping_s_};
 }
 
+/// What joint i is led along.
+Blow::Target Blow::target(int i, const Scalar& s, double t) const noexcept {
+  if (!returning_) return {in_.q[i] + in_.qd[i] * s.s, in_.qd[i] * s.v, in_.qd[i] * s.a};
+  const double x = std::clamp((t - return_from_s_) / return_s_, 0.0, 1.0);
+  const double u = 1.0 - x;
+  return {return_q_[i] + return_way_[i] * x * x * x * (10.0 - x * (15.0 - 6.0 * x)),
+          return_way_[i] * 30.0 * x * x * u * u / return_s_,
+          return_way_[i] * 60.0 * x * u * (1.0 - 2.0 * x) / (return_s_ * return_s_)};
+}
+
 void Blow::new_pose() noexcept {
   pose_q_ = q_;
   const ChainPose pose = arm_.chain.pose(q_);
-  const Jacobian J = arm_.chain.jacobian(pose);
-  lever_.noalias() = J.topRows<3>().transpose().lazyProduct(in_.normal);
-  pose_gap_ = in_.normal.dot(pose.face.position_m - head_m_);
+  const Eigen::Vector3d head = head_m_ + head_height_ * in_.normal;
+  const Eigen::Vector3d to_face = pose.face.position_m - head;
+  const Eigen::Vector3d out = pose.face.rotation.col(2);
+  const double cosine = -in_.normal.dot(out);
+  // The face's plane over the head's centre; a head beside the face is not struck.
+  pose_gap_ = (cosine > 0.1 ? -to_face.dot(out) / cosine : in_.normal.dot(to_face)) + head_height_;
+  const double lateral2 = (to_face - in_.normal * in_.normal.dot(to_face)).squaredNorm();
+  over_head_ = lateral2 <= arm_.face_radius_m * arm_.face_radius_m;
+  const Eigen::Vector3d point = head + (pose_gap_ - head_height_) * in_.normal;
+  for (int i = 0; i < n_; ++i) {
+    lever_[i] = in_.normal.dot(pose.axis[at(i)].cross(point - pose.link[at(i)].position_m));
+  }
   inverse_ = arm_.chain.mass_matrix(pose).llt().solve(JointMatrix::Identity(n_, n_));
   bias_ = arm_.chain.inverse_dynamics(pose, v_, JointVector::Zero(n_));
 }
@@ -169,7 +215,15 @@ void Blow::new_pose() noexcept {
 /// The model's torque that comes with the knots.
 void Blow::expect(double t) noexcept {
   const Scalar s = reference(t);
-  expected_ = arm_.chain.inverse_dynamics(arm_.chain.pose(in_.q + in_.qd * s.s), in_.qd * s.v, in_.qd * s.a);
+  JointVector q(n_), v(n_), a(n_);
+  for (int i = 0; i < n_; ++i) {
+    const Joint& j = joint_[at(i)];
+    const Target g = j.own_reference ? Target{j.reference_q, 0.0, 0.0} : target(i, s, t);
+    q[i] = g.q;
+    v[i] = g.v;
+    a[i] = g.a;
+  }
+  expected_ = arm_.chain.inverse_dynamics(arm_.chain.pose(q), v, a);
 }
 
 /// In steady motion along the reference.
@@ -229,6 +283,62 @@ void Blow::resume(double t) noexcept {
   resumed_ = true;
 }
 
+/// The switch is armed for the planned instant; the face seen nearer pulls it.
+void Blow::decide_switch(double t) noexcept {
+  if (in_window_ && switch_s_ - t > kPullMargin_s) switch_s_ = t;
+  double gap = pose_gap_ - in_.early_m;  // by the motors, to where the head is believed to be
+  double speed = 0.0;
+  for (int i = 0; i < n_; ++i) {
+    gap += lever_[i] * (joint_[at(i)].motor_q - pose_q_[i]);
+    speed -= lever_[i] * joint_[at(i)].motor_v;
+  }
+  in_window_ = in_window_ || (gap >= 0.0 && gap <= speed * arm_.lead_s + kGapMargin_m);
+}
+
+/// Once per knot: what the supervisor makes of the blow.
+void Blow::supervise(double t) noexcept {
+  const double felt_n = felt_n_s_ / arm_.knot_s;
+  felt_n_s_ = 0.0;
+  if (!resumed_) {
+    if (t <= switch_s_) {
+      decide_switch(t);
+      return;
+    }
+    if (phase_ == Felt::nothing && felt_n > kFelt_n) {
+      phase_ = Felt::touching;
+      felt_since_s_ = t - arm_.knot_s;
+    } else if (phase_ == Felt::touching) {
+      low_ = felt_n < kGone_n ? low_ + 1 : 0;
+      if (low_ >= 2) phase_ = t - 2.0 * arm_.knot_s - felt_since_s_ < kShortest_s ? Felt::nothing : Felt::over;
+    }
+    // What it sees is a knot old.
+    if (phase_ == Felt::over) resume_due_s_ = std::min(resume_due_s_, t + 2.0 * arm_.knot_s);
+    if (sinking()) resume_due_s_ = std::min(resume_due_s_, t + arm_.knot_s);
+    if (t >= switch_s_ + in_.passive_s) resume_due_s_ = t;
+    if (t >= resume_due_s_ - 0.5 * arm_.tick_s) resume(t);
+  } else if (!returning_ && t >= resumed_s_ + stopping_s_) {
+    for (int i = 0; i < n_; ++i) {
+      const Joint& j = joint_[at(i)];
+      if (j.own_reference && !(std::abs(j.reference_v) < kRest_rad_s)) return;
+    }
+    returning_ = true;
+    return_from_s_ = t + 2.0 * arm_.knot_s;  // they report it, and a knot goes out
+    return_q_ = return_way_ = JointVector::Zero(n_);
+    return_s_ = 0.2;
+    const Scalar s = reference(t);
+    for (int i = 0; i < n_; ++i) {
+      Joint& j = joint_[at(i)];
+      const JointDrive& d = arm_.drive[at(i)];
+      return_q_[i] = j.own_reference ? j.reference_q : in_.q[i] + in_.qd[i] * s.s;
+      j.own_reference = false;
+      return_way_[i] = in_.q[i] - in_.qd[i] * in_.reference.travel_s - return_q_[i];
+      // Peak velocity and acceleration of a quintic from rest to rest.
+      return_s_ = std::max({return_s_, 1.875 * std::abs(return_way_[i]) / d.return_speed_rad_s,
+                            std::sqrt(5.774 * std::abs(return_way_[i]) / d.return_acceleration_rad_s2)});
+    }
+  }
+}
+
 /// The supervisor's rule: passive and hardly slowed down, the arm needs the rest of the way to the board to stop.
 bool Blow::sinking() const noexcept {
   const double height = pose_gap_ + lever_.dot(q_ - pose_q_);
@@ -244,18 +354,16 @@ bool Blow::sinking() const noexcept {
 }
 
 /// The active law (14)-(18) with its compensator.
-double Blow::active_torque(int i, const Scalar& s) noexcept {
+double Blow::active_torque(int i, const Scalar& s, double t) noexcept {
   const JointDrive& d = arm_.drive[at(i)];
   Joint& j = joint_[at(i)];
-  double q_d = in_.q[i] + in_.qd[i] * s.s;
-  double v_d = in_.qd[i] * s.v;
-  double a_d = in_.qd[i] * s.a;
+  auto [q_d, v_d, a_d] = target(i, s, t);
   const double seen_v = j.seen_v / arm_.tick_s;
   if (j.own_reference) {
     // It comes to rest by itself, never faster than the joint.
     const double way = sign(j.reference_v);
     j.reference_v = way * std::clamp(way * seen_v + kVelocityMargin_rad_s, 0.0, std::abs(j.reference_v));
-    a_d = std::clamp(-100.0 * j.reference_v, -d.stop_deceleration_rad_s2, d.stop_deceleration_rad_s2);
+    a_d = std::clamp(-kSettle_1_s * j.reference_v, -d.stop_deceleration_rad_s2, d.stop_deceleration_rad_s2);
     j.reference_q += arm_.tick_s * (j.reference_v + 0.5 * arm_.tick_s * a_d);
     j.reference_v += arm_.tick_s * a_d;
     q_d = j.reference_q = std::clamp(j.reference_q, j.motor_q - kLeash_rad, j.motor_q + kLeash_rad);
@@ -297,7 +405,7 @@ double Blow::active_torque(int i, const Scalar& s) noexcept {
 /// One tick of every joint's loop.
 void Blow::control(double t) noexcept {
   const Scalar s = reference(t);
-  const bool let_go = !resumed_ && t >= -in_.switch_lead_s;
+  const bool let_go = !resumed_ && t >= switch_s_ - 0.1 * arm_.tick_s;
   for (int i = 0; i < n_; ++i) {
     const JointDrive& d = arm_.drive[at(i)];
     Joint& j = joint_[at(i)];
@@ -331,7 +439,7 @@ void Blow::control(double t) noexcept {
         wanted = d.compensation_nm * j.trend;
       }
     } else {
-      wanted = active_torque(i, s);
+      wanted = active_torque(i, s, t);
       if (j.catching_up) {
         const double most = d.resume_slew_nm_s * arm_.tick_s;
         j.catching_up = !(std::abs(wanted - j.command) <= most);
@@ -348,7 +456,7 @@ void Blow::touch() noexcept {
   const ContactLaw& law = in_.contact;
   const double depth = head_height_ - (pose_gap_ + lever_.dot(q_ - pose_q_));
   force_ = nail_v_ = 0.0;
-  if (!(depth > 0.0)) return;
+  if (!(depth > 0.0 && over_head_)) return;
   const double speed = -lever_.dot(v_);
   const double elastic = law.face_stiffness_n_m * depth;
   force_ = std::max(0.0, elastic * (1.0 + law.face_damping_s_m * speed));
@@ -398,11 +506,11 @@ void Blow::step() noexcept {
 
 void Blow::record(double t) noexcept {
   if (!(force_ > 0.0)) return;
+  felt_n_s_ += h_ * force_;
   if (!touched_) {
     touched_ = true;
     began_s_ = t;
     begin_v_ = v_ - h_ * accel_;
-    begin_accel_ = accel_ - force_ * inverse_.lazyProduct(lever_);
     begin_height_ = head_height_;
     for (int i = 0; i < n_; ++i) joint_[at(i)].at_start = joint_[at(i)].carried;
     out_.speed_before_m_s = -lever_.dot(begin_v_);
@@ -415,7 +523,7 @@ void Blow::record(double t) noexcept {
   out_.speed_after_m_s = -lever_.dot(v_);
   for (int i = 0; i < n_; ++i) {
     Joint& j = joint_[at(i)];
-    j.sum += h_ * (j.carried - j.at_start);
+    j.sum += h_ * j.carried;
     j.peak = std::max(j.peak, std::abs(j.carried));
   }
 }
@@ -426,26 +534,39 @@ void Blow::conclude() noexcept {
   out_.effective_mass_kg = 1.0 / std::max(lever_.dot(inverse_ * lever_), 1e-12);
   if (!touched_ || !out_.feasible) return;
   out_.contact_s = ended_s_ - began_s_;
+  out_.start_s = began_s_;
   out_.delta_qd = end_v_ - begin_v_;
   for (int i = 0; i < n_; ++i) {
     out_.axis_impulse_nm_s[i] = -joint_[at(i)].sum;
     out_.carried_before_nm[i] = -joint_[at(i)].at_start;
     out_.peak_torque_nm[i] = joint_[at(i)].peak;
   }
-  // What the links' own motion and the blow ask of every joint; the axis component comes out as above but for the
-  // frozen pose, so the one that was integrated stands.
+  const ChainPose pose = arm_.chain.pose(in_.q);
+  out_.blow_impulse_nm_s = out_.axis_impulse_nm_s + out_.contact_s * arm_.chain.gravity(pose);
+  // The whole wrench from the jump of speeds and the blow. Its axis component differs a little from what was
+  // integrated, by what the pose changes meanwhile: that is put right.
   Vector6 external = Vector6::Zero();
   external.head<3>() = out_.impulse_n_s * in_.normal;
-  const InternalImpulses internal =
-      internal_impulses(arm_.chain, arm_.chain.pose(in_.q), out_.delta_qd - begin_accel_ * out_.contact_s, external);
-  out_.wrench = internal.wrench;
+  out_.wrench = internal_impulses(arm_.chain, pose, out_.delta_qd, external).wrench;
+  for (int i = 0; i < n_; ++i) {
+    Eigen::Vector3d& torque = out_.wrench[at(i)].torque_nm_s;
+    torque += (out_.blow_impulse_nm_s[i] - pose.axis[at(i)].dot(torque)) * pose.axis[at(i)];
+  }
 }
 
 Prediction Blow::run() noexcept {
-  out_.delta_qd = out_.axis_impulse_nm_s = out_.carried_before_nm = out_.peak_torque_nm = JointVector::Zero(n_);
+  out_.delta_qd = out_.axis_impulse_nm_s = out_.blow_impulse_nm_s = out_.carried_before_nm = out_.peak_torque_nm =
+      JointVector::Zero(n_);
   bool any_passive = false;
   for (int i = 0; i < n_; ++i) any_passive = any_passive || is_passive(i);
-  const double from = -(any_passive ? in_.switch_lead_s : 0.0) - kRunIn_s;
+  // On the grid of the knots, one of which is the planned contact.
+  double before = kRunIn_s;
+  if (any_passive) {
+    const double speed = std::max(-in_.normal.dot(arm_.chain.jacobian(in_.q).topRows<3>() * in_.qd), 1e-6);
+    before += in_.switch_lead_s + kGapMargin_m / speed + arm_.knot_s;
+  }
+  const double from = -std::ceil(std::min(before, kEarliest_s) / arm_.knot_s) * arm_.knot_s;
+  switch_s_ = -in_.switch_lead_s;
   observer_pole_ = std::exp(-kObserver_1_s * arm_.tick_s);
   start(from);
   const int per_tick = static_cast<int>(std::lround(arm_.tick_s / h_));
@@ -456,8 +577,7 @@ Prediction Blow::run() noexcept {
     if (tick % per_pose == 0) {
       new_pose();
       expect(t + arm_.knot_s);
-      const bool time_is_up = t >= -in_.switch_lead_s + in_.passive_s;
-      if (any_passive && !resumed_ && t > -in_.switch_lead_s && (time_is_up || sinking())) resume(t);
+      if (any_passive) supervise(t);
     }
     control(t);
     for (int k = 0; k < per_tick; ++k) {
