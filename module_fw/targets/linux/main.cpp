@@ -4,6 +4,7 @@
 #include <CLI/CLI.hpp>
 #include <charconv>
 #include <csignal>
+#include <system_error>
 
 #include "common/robot/errors.h"
 #include "common/robot/places.h"
@@ -71,6 +72,7 @@ int main(int argc, char** argv) {
   app.add_flag("--realtime", realtime, "Tick on the own clock from the start, without waiting for the plant")
       ->excludes(l);
   app.add_flag("--test-faults", test_faults, "Add object 2F00h: writing an emergency code provokes that fault");
+  app.add_option("--store", options.store, "File that keeps what 1010h stores (default: nothing is kept)");
   app.add_flag("--verbose", options.verbose, "Say more, and print statistics at the end");
   app.failure_message([](const CLI::App*, const CLI::Error& error) {
     return fmt::format("mrr_module: {}; see mrr_module --help\n", error.what());
@@ -90,6 +92,9 @@ int main(int argc, char** argv) {
     return kUnusable;
   } catch (const can::CanError& error) {
     fmt::print(stderr, "mrr_module: {}\n", error.what());
+    return kUnusable;
+  } catch (const std::system_error& error) {
+    fmt::print(stderr, "mrr_module: --store {}\n", error.what());
     return kUnusable;
   } catch (const std::exception& error) {
     fmt::print(stderr, "mrr_module: internal error: {}\n", error.what());

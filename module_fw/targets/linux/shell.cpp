@@ -81,6 +81,7 @@ can::CanSocket open_bus(const ModuleConfig& config, const ShellOptions& options)
 
 Shell::Shell(const ModuleConfig& config, const ShellOptions& options)
     : config_(config), options_(options), can_(open_bus(config, options)) {
+  if (!options.store.empty()) store_ = std::make_unique<FileStore>(options.store);
   if (!options.plant.empty()) {
     plant_.emplace(options.plant, static_cast<plant_io::Participant>(options.number - 1), config.configuration_hash);
   }
@@ -127,6 +128,7 @@ void Shell::run(const volatile int& stop) {
       say(fmt::format("{}: ticks will come later at times; allow it with CAP_SYS_NICE and CAP_IPC_LOCK", refused));
   }
   module_ = std::make_unique<Module>(config_);
+  if (store_) module_->load_parameters(*store_);
   cob_ids_ = cob_ids(module_->objects()).fingerprint;
   can_.discard_received();
   forbid_heap();
@@ -152,7 +154,7 @@ bool Shell::tick(Time now, const RawSensors& sensors, std::span<const can::Recei
   tx_.clear();
   module_->step(now, sensors, received, actuator_, tx_);
   if (!tx_.empty()) can_.send({tx_.data(), tx_.size()});
-  follow_cob_ids();
+  if (!received.empty()) follow_cob_ids();  // only a frame can have changed them
   ++ticks_;
   const bool safe = !actuator_.power_stage_enabled && !actuator_.brake_release;
   return !(stopping_ && now > stopping_since_ && (safe || now - stopping_since_ > kStopTime));

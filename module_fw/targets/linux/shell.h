@@ -10,6 +10,7 @@
 #include "can_protocol/plant_io/plant_link.h"
 #include "can_protocol/socketcan/can_socket.h"
 #include "module_fw/module.h"
+#include "module_fw/targets/host/file_store.h"
 #include "module_fw/targets/linux/lateness.h"
 
 namespace mrr::fw {
@@ -21,6 +22,7 @@ struct ShellOptions {
   int number = 1;     ///< of the joint, from 1
   std::string can;    ///< the robot's bus
   std::string plant;  ///< the plant bus; empty: no hardware
+  std::string store;  ///< file of stored parameters; empty: none
   Pace pace = Pace::as_plant;
   bool verbose = false;
 };
@@ -52,6 +54,7 @@ class Shell {
   can::CanSocket can_;
   std::optional<plant_io::PlantLink> plant_;
   std::optional<plant_io::OwnTick> first_;
+  std::unique_ptr<FileStore> store_;
   std::unique_ptr<Module> module_;
   ActuatorCommand actuator_;
   can::TransmitQueue tx_;
