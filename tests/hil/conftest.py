@@ -91,6 +91,13 @@ class Robot:
                 wire.wait_state(0)
         return process
 
+    def plant(self, *arguments):
+        """The emulator; returns once it ticks or waits for the modules."""
+        process = self.start("sim_vcan/targets/mrr_plant", "--robot", ROBOT, "--plant", "vcan1", "--socket",
+                             self.folder / "plant.sock", "--verbose", *arguments)
+        wait_until((self.folder / "plant.sock").exists, what="the plant's control socket")
+        return process
+
     def stop(self):
         """Ends all, the last one first; one that did not end as it should is an error after all have ended."""
         errors = []
@@ -123,6 +130,16 @@ def fresh_robot(tmp_path):
 def bare_module(robot):
     """Joint 1 without hardware: everything that is on the wire, and no motion."""
     return robot.module(1, "--test-faults", plant=False)
+
+
+@pytest.fixture(scope="module")
+def led_module(robot):
+    """Joint 3 with the emulator behind it, by the wall clock: what a client on a real bus has."""
+    robot.plant("--realtime")
+    with Wire("vcan0", node=4) as wire:
+        process = robot.module(3, "--test-faults")
+        wire.wait_state(0)
+    return process
 
 
 @pytest.fixture

@@ -1,0 +1,105 @@
+"""A hammering job by processes on vcan, beside the same job on one clock.
+
+Both have the same robot, board, seed and plan. They are not the same run: on one clock frames take their time on a
+simulated wire and module clocks drift, in lockstep a frame sent in one millisecond is there in the next. So sensor
+noise falls on other instants, and what the robot learns of its first blow differs a little. Same must be: verdict,
+number of swings, who went passive. Equal within the sampling must be:
+- lead of the switch: one knot (4 ms) and a tick for when a module's mode is decided, besides a tick for contact;
+- speed at first touch: 3 %: contact comes a tick earlier or later while the arm gains some 0.4 % a millisecond, and the
+  position noise of the encoders is another;
+- impulse, duration, penetration and torques: 10 % or, where small, 10 ms, 1 mm, 2 Nm.
+"""
+
+import json
+import os
+import subprocess
+
+import pytest
+
+from conftest import BUILD, ROOT
+
+
+@pytest.fixture(scope="module")
+def jobs(tmp_path_factory):
+    """{board: (on one clock, by processes)} as result.json has them, and the folders."""
+    folder = tmp_path_factory.mktemp("processes")
+    run = folder / "run"
+    run.mkdir(mode=0o700)
+    environment = {**os.environ, "MRR_RUNTIME_DIR": str(run), "MRR_BUILD_DIR": str(BUILD)}
+    results = {}
+    for board in ("styrofoam", "hardwood"):
+        pair = []
+        clock = subprocess.run([BUILD / "cli/mrr", "hammer", "--board", board, "--seed", "1", "--no-report", "--out", folder / board / "clock"],
+                               capture_output=True, text=True, timeout=120)
+        assert clock.returncode in (0, 1), clock.stderr
+        pair.append(clock)
+        up = subprocess.run([ROOT / "scripts/robot", "up", "--board", board, "--seed", "1"], capture_output=True, text=True, timeout=120,
+                            env=environment)
+        assert up.returncode == 0, up.stderr
+        try:
+            pair.append(subprocess.run([BUILD / "cli/mrr", "hammer", "--bus", "vcan0", "--seed", "1", "--no-report", "--out", folder / board / "bus"],
+                                       capture_output=True, text=True, timeout=240, env=environment))
+            again = subprocess.run([ROOT / "scripts/robot", "up"], capture_output=True, text=True, timeout=60, env=environment)
+            assert again.returncode == 1 and "up already" in again.stderr
+        finally:
+            down = subprocess.run([ROOT / "scripts/robot", "down"], capture_output=True, text=True, timeout=60, env=environment)
+        assert down.returncode == 0, down.stderr
+        assert not [path.name for path in run.iterdir() if path.suffix in (".pid", ".sock")]
+        assert pair[1].returncode == pair[0].returncode, pair[1].stderr + pair[1].stdout
+        results[board] = [json.loads((folder / board / where / "result.json").read_text()) for where in ("clock", "bus")]
+        results[board].append((pair[0].stdout, pair[1].stdout, folder / board))
+    return results
+
+
+@pytest.fixture(params=["styrofoam", "hardwood"])
+def job(jobs, request):
+    return jobs[request.param]
+
+
+def test_the_verdict_and_the_number_of_swings_are_the_same(job):
+    clock, bus, _ = job
+    assert bus["processes"] == "lockstep" and bus["truth_known"] is True and clock["processes"] is None
+    assert bus["board"] == clock["board"]
+    for key in ("verdict", "flush", "success", "within_limits", "mode", "robot", "seed"):
+        assert bus[key] == clock[key], key
+    assert len(bus["swings"]) == len(clock["swings"]) > 0
+
+
+def test_the_same_joints_go_passive_in_each_swing(job):
+    clock, bus, _ = job
+    sets = [[[joint["passive"] for joint in swing["joints"]] for swing in each["swings"]] for each in (clock, bus)]
+    assert sets[0] == sets[1]
+
+
+def test_the_first_swing_is_planned_the_same(job):
+    """Nothing was learnt before it: only where the arm stands at rest, by its noisy encoders, may differ."""
+    clock, bus, _ = job
+    for key in ("speed_m_s", "impulse_predicted_n_s", "effective_mass_kg", "contact_time_s"):
+        assert bus["plan"][key] == pytest.approx(clock["plan"][key], rel=0.01), key
+
+
+def test_the_swings_are_equal_to_within_the_sampling(job):
+    clock, bus, _ = job
+    for ours, theirs in zip(bus["swings"], clock["swings"], strict=True):
+        assert ours["hit"] == theirs["hit"]
+        assert ours["speed_m_s"] == pytest.approx(theirs["speed_m_s"], rel=0.03)
+        assert ours["impulse_measured_n_s"] == pytest.approx(theirs["impulse_measured_n_s"], rel=0.10)
+        assert ours["contact_ms"] == pytest.approx(theirs["contact_ms"], rel=0.10, abs=10)
+        assert ours["penetration_mm"] == pytest.approx(theirs["penetration_mm"], rel=0.10, abs=1)
+        for a, b in zip(ours["joints"], theirs["joints"], strict=True):
+            assert a["peak_torque_nm"] == pytest.approx(b["peak_torque_nm"], rel=0.10, abs=2), a["name"]
+            if b["switch_lead_ms"] is not None:
+                assert a["switch_lead_ms"] == pytest.approx(b["switch_lead_ms"], abs=6), a["name"]
+
+
+def test_the_files_are_of_the_same_form(job):
+    _, _, (_, text, folder) = job
+    heads = [(folder / where / "telemetry.csv").open().readline() for where in ("clock", "bus")]
+    assert heads[0] == heads[1]
+    lines = [(folder / where / "bus.log").read_text().splitlines() for where in ("clock", "bus")]
+    identifiers = [{line.split()[2].split("#")[0] for line in each} for each in lines]
+    assert identifiers[0] == identifiers[1]
+    times = [float(line[1:line.index(")")]) for line in lines[1]]
+    assert times == sorted(times) and times[0] >= 0
+    assert "Verdict:" in text and "processes on vcan0 in lockstep" in text and "loaded by the frames recorded" in text
+    assert max(map(len, text.splitlines())) <= 100
