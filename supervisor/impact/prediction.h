@@ -105,6 +105,11 @@ struct PredictInput {
   double contact_s = std::numeric_limits<double>::quiet_NaN();
 };
 
+/// When a blow is over: its force has been below this share of its peak for this long, as a force sensor with a
+/// threshold has it. An arm that then rests on the nail until it is called back is no longer the blow.
+inline constexpr double kBlowOverShare = 0.1;
+inline constexpr double kBlowOver_s = 5e-3;
+
 /// A blow as predicted. Impulses of joints are integrals over the contact of what the transmission carries.
 struct Prediction {
   bool feasible = false;  ///< false: input that is not usable, or nothing yields; the other fields are then zero

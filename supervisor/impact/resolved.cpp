@@ -16,8 +16,7 @@ constexpr double kEarliest_s = 0.1;
 constexpr double kLongestStep_s = 2.5e-4;
 constexpr double kStepPerPeriod = 0.35;  // step times the fastest frequency
 constexpr double kMostStepsPerTick = 50.0;
-constexpr double kMergeGap_s = 5e-3;  // touches separated by less are one contact
-constexpr double kLongest_s = 0.6;    // after the planned contact
+constexpr double kLongest_s = 0.6;  // after the planned contact
 // The firmware's own constants.
 constexpr double kObserver_1_s = 2500.0;  // double pole of the velocity observer
 constexpr double kReferenceStill_rad_s = 2e-3;
@@ -127,7 +126,8 @@ class Blow {
   void touch() noexcept;
   void step() noexcept;
   void record(double t) noexcept;
-  void conclude() noexcept;
+  void conclude(double t) noexcept;
+  [[nodiscard]] Prediction result() noexcept;
   [[nodiscard]] Scalar reference(double t) const noexcept;
   struct Target {
     double q, v, a;
@@ -155,8 +155,10 @@ class Blow {
   double nail_v_ = 0.0;
   double force_ = 0.0;
   bool touched_ = false;
-  double began_s_ = 0.0, ended_s_ = 0.0;
-  JointVector begin_v_, end_v_;
+  double began_s_ = 0.0;
+  double low_since_s_ = std::numeric_limits<double>::infinity();
+  bool over_ = false;
+  JointVector begin_v_;
   double begin_height_ = 0.0;
   // Coming back.
   bool resumed_ = false;
@@ -173,7 +175,8 @@ class Blow {
   int low_ = 0;
   enum class Felt : std::uint8_t { nothing, touching, over } phase_ = Felt::nothing;
   double resume_due_s_ = std::numeric_limits<double>::infinity();
-  Prediction out_;
+  double effective_mass_kg_ = 0.0;
+  Prediction none_, out_, kept_;
 };
 
 Scalar Blow::reference(double t) const noexcept {
@@ -248,6 +251,7 @@ void Blow::start(double t) noexcept {
     j.torque = j.command = d.rotor_inertia_kg_m2 * accel_[i] + expected_[i] + friction_torque_nm(d.friction, v_[i]);
   }
   new_pose();
+  effective_mass_kg_ = 1.0 / std::max(lever_.dot(inverse_ * lever_), 1e-12);
   double fastest2 = in_.contact.face_stiffness_n_m * lever_.dot(inverse_ * lever_);
   for (int i = 0; i < n_; ++i) {
     const JointDrive& d = arm_.drive[at(i)];
@@ -505,9 +509,9 @@ void Blow::step() noexcept {
 }
 
 void Blow::record(double t) noexcept {
-  if (!(force_ > 0.0)) return;
-  felt_n_s_ += h_ * force_;
+  if (force_ > 0.0) felt_n_s_ += h_ * force_;
   if (!touched_) {
+    if (!(force_ > 0.0)) return;
     touched_ = true;
     began_s_ = t;
     begin_v_ = v_ - h_ * accel_;
@@ -515,48 +519,64 @@ void Blow::record(double t) noexcept {
     for (int i = 0; i < n_; ++i) joint_[at(i)].at_start = joint_[at(i)].carried;
     out_.speed_before_m_s = -lever_.dot(begin_v_);
   }
-  ended_s_ = t + h_;
-  end_v_ = v_;
   out_.impulse_n_s += h_ * force_;
   out_.peak_force_n = std::max(out_.peak_force_n, force_);
-  out_.penetration_m = begin_height_ - head_height_;
-  out_.speed_after_m_s = -lever_.dot(v_);
   for (int i = 0; i < n_; ++i) {
     Joint& j = joint_[at(i)];
     j.sum += h_ * j.carried;
     j.peak = std::max(j.peak, std::abs(j.carried));
   }
+  if (!(force_ < kBlowOverShare * out_.peak_force_n)) {
+    low_since_s_ = std::numeric_limits<double>::infinity();
+    return;
+  }
+  if (low_since_s_ > t) {
+    low_since_s_ = t;
+    conclude(t + h_);
+  }
+  over_ = t - low_since_s_ > kBlowOver_s;
 }
 
-void Blow::conclude() noexcept {
-  out_.feasible = std::isfinite(out_.impulse_n_s) && v_.allFinite();
-  out_.approaching = touched_;
-  out_.effective_mass_kg = 1.0 / std::max(lever_.dot(inverse_ * lever_), 1e-12);
-  if (!touched_ || !out_.feasible) return;
-  out_.contact_s = ended_s_ - began_s_;
-  out_.start_s = began_s_;
-  out_.delta_qd = end_v_ - begin_v_;
+/// The blow as it is if it ends now.
+void Blow::conclude(double t) noexcept {
+  kept_ = out_;
+  kept_.approaching = true;
+  kept_.contact_s = t - began_s_;
+  kept_.start_s = began_s_;
+  kept_.penetration_m = begin_height_ - head_height_;
+  kept_.speed_after_m_s = -lever_.dot(v_);
+  kept_.delta_qd = v_ - begin_v_;
   for (int i = 0; i < n_; ++i) {
-    out_.axis_impulse_nm_s[i] = -joint_[at(i)].sum;
-    out_.carried_before_nm[i] = -joint_[at(i)].at_start;
-    out_.peak_torque_nm[i] = joint_[at(i)].peak;
+    kept_.axis_impulse_nm_s[i] = -joint_[at(i)].sum;
+    kept_.carried_before_nm[i] = -joint_[at(i)].at_start;
+    kept_.peak_torque_nm[i] = joint_[at(i)].peak;
   }
+}
+
+Prediction Blow::result() noexcept {
+  Prediction out = kept_;
+  out.feasible = std::isfinite(out_.impulse_n_s) && v_.allFinite();
+  if (!out.feasible) return none_;
+  out.effective_mass_kg = effective_mass_kg_;
+  if (!out.approaching) return out;
   const ChainPose pose = arm_.chain.pose(in_.q);
-  out_.blow_impulse_nm_s = out_.axis_impulse_nm_s + out_.contact_s * arm_.chain.gravity(pose);
+  out.blow_impulse_nm_s = out.axis_impulse_nm_s + out.contact_s * arm_.chain.gravity(pose);
   // The whole wrench from the jump of speeds and the blow. Its axis component differs a little from what was
   // integrated, by what the pose changes meanwhile: that is put right.
   Vector6 external = Vector6::Zero();
-  external.head<3>() = out_.impulse_n_s * in_.normal;
-  out_.wrench = internal_impulses(arm_.chain, pose, out_.delta_qd, external).wrench;
+  external.head<3>() = out.impulse_n_s * in_.normal;
+  out.wrench = internal_impulses(arm_.chain, pose, out.delta_qd, external).wrench;
   for (int i = 0; i < n_; ++i) {
-    Eigen::Vector3d& torque = out_.wrench[at(i)].torque_nm_s;
-    torque += (out_.blow_impulse_nm_s[i] - pose.axis[at(i)].dot(torque)) * pose.axis[at(i)];
+    Eigen::Vector3d& torque = out.wrench[at(i)].torque_nm_s;
+    torque += (out.blow_impulse_nm_s[i] - pose.axis[at(i)].dot(torque)) * pose.axis[at(i)];
   }
+  return out;
 }
 
 Prediction Blow::run() noexcept {
-  out_.delta_qd = out_.axis_impulse_nm_s = out_.blow_impulse_nm_s = out_.carried_before_nm = out_.peak_torque_nm =
+  none_.delta_qd = none_.axis_impulse_nm_s = none_.blow_impulse_nm_s = none_.carried_before_nm = none_.peak_torque_nm =
       JointVector::Zero(n_);
+  out_ = kept_ = none_;
   bool any_passive = false;
   for (int i = 0; i < n_; ++i) any_passive = any_passive || is_passive(i);
   // On the grid of the knots, one of which is the planned contact.
@@ -580,14 +600,14 @@ Prediction Blow::run() noexcept {
       if (any_passive) supervise(t);
     }
     control(t);
-    for (int k = 0; k < per_tick; ++k) {
+    for (int k = 0; k < per_tick && !over_; ++k) {
       step();
       record(t + k * h_);
     }
-    if (touched_ && t - ended_s_ > kMergeGap_s) break;
+    if (over_) return result();
   }
-  conclude();
-  return out_;
+  if (touched_) conclude(from + ticks * arm_.tick_s);  // it never ended
+  return result();
 }
 
 }  // namespace

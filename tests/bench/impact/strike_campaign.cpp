@@ -25,6 +25,7 @@ namespace {
 using namespace mrr;  // NOLINT: a program of its own
 
 constexpr std::array kBoards{"hardwood", "styrofoam"};
+constexpr double kLeastShare = 0.2;        // of the largest contact's impulse: less is a graze before the blow
 constexpr std::size_t kTruthPerJoint = 3;  // impulse, peak, before
 
 struct Strike {
@@ -93,7 +94,77 @@ struct Truth {
   std::vector<double> joint;  // kTruthPerJoint each
 };
 
-Truth simulate(const Strike& s) {
+/// Blows as a force sensor with a threshold sees them: from first touch until the force has been below a share of its
+/// peak for a while. What follows (the arm resting on the nail until it is called back) is not the blow.
+class BlowWatch {
+ public:
+  explicit BlowWatch(std::size_t dof) : dof_(dof) {}
+  /// Call after every event; between events the force and the torques are taken as linear.
+  void step(const sim::PlantTruth& now) {
+    const double dt = (now.now - last_.now).seconds();
+    if (!open_ && now.contact_force_n > 0.0 && dt > 0.0) {
+      open_ = true;
+      blow_ = {};
+      blow_.joint.assign(dof_ * kTruthPerJoint, 0.0);
+      blow_.speed = -normal_speed(last_);
+      blow_.lateral = now.face_lateral_m;
+      blow_.early_s = -last_.now.seconds();
+      start_ = last_.now;
+      start_height_m_ = last_.nail_height_m;
+      for (std::size_t i = 0; i < dof_; ++i) {
+        blow_.joint[kTruthPerJoint * i + 1] = std::abs(last_.transmission_torque_nm[i]);
+        blow_.joint[kTruthPerJoint * i + 2] = last_.transmission_torque_nm[i];
+      }
+      low_since_ = Time{-1};
+    }
+    if (open_ && dt > 0.0) {
+      blow_.impulse += 0.5 * dt * (last_.contact_force_n + now.contact_force_n);
+      blow_.peak_force = std::max(blow_.peak_force, now.contact_force_n);
+      for (std::size_t i = 0; i < dof_; ++i) {
+        const double torque = now.transmission_torque_nm[i];
+        blow_.joint[kTruthPerJoint * i] += 0.5 * dt * (last_.transmission_torque_nm[i] + torque);
+        double& peak = blow_.joint[kTruthPerJoint * i + 1];
+        peak = std::max(peak, std::abs(torque));
+      }
+      blow_.contact_s = (now.now - start_).seconds();
+      blow_.penetration = start_height_m_ - now.nail_height_m;
+      if (!(now.contact_force_n < sup::kBlowOverShare * blow_.peak_force)) {
+        low_since_ = Time{-1};
+      } else if (low_since_.ns < 0) {
+        low_since_ = now.now;
+        kept_ = blow_;
+      } else if ((now.now - low_since_).seconds() > sup::kBlowOver_s) {
+        open_ = false;
+        blows_.push_back(kept_);
+      }
+    }
+    last_ = now;
+  }
+  void set_normal(const Eigen::Vector3d& normal) { normal_ = normal; }
+  /// The first that is one: a graze before it, and what follows, are not.
+  [[nodiscard]] const Truth* blow() const {
+    double largest = 0.0;
+    for (const Truth& t : blows_) largest = std::max(largest, t.impulse);
+    for (const Truth& t : blows_) {
+      if (t.impulse >= kLeastShare * largest) return &t;
+    }
+    return nullptr;
+  }
+
+ private:
+  [[nodiscard]] double normal_speed(const sim::PlantTruth& t) const { return normal_.dot(t.face_velocity_m_s); }
+  std::size_t dof_;
+  Eigen::Vector3d normal_ = Eigen::Vector3d::UnitZ();
+  bool open_ = false;
+  Truth blow_, kept_;
+  std::vector<Truth> blows_;
+  sim::PlantTruth last_;
+  Time start_, low_since_{-1};
+  double start_height_m_ = 0.0;
+};
+
+/// `trace_path`, if not empty: what the emulator does, per millisecond.
+Truth simulate(const Strike& s, const std::string& trace_path = {}) {
   Truth truth;
   truth.joint.assign(at(s.robot.dof()) * kTruthPerJoint, 0.0);
   sim::WorldOptions options;
@@ -129,20 +200,27 @@ Truth simulate(const Strike& s) {
     truth.outcome = sup::describe(refusal);
     return truth;
   }
-  std::vector<double> before(at(s.robot.dof()));
-  std::vector<double> recorded = before;
   const Time until = world.now() + plan.approach.duration() + plan.strike.duration() + milliseconds(8000);
+  std::ofstream trace;
+  if (!trace_path.empty()) trace.open(trace_path);
+  BlowWatch watch(at(s.robot.dof()));
+  watch.set_normal(s.request.normal);
   while (!supervisor.outcome().done && world.now() < until) {
     world.step();
-    if (world.plant().contact_count() == 0) {
+    if (supervisor.activity() >= sup::Activity::swinging) watch.step(world.plant().truth());
+    if (trace.is_open() && world.supervisor_stepped() && supervisor.activity() >= sup::Activity::swinging) {
       const sim::PlantTruth now = world.plant().truth();
-      for (std::size_t i = 0; i < before.size(); ++i) before[i] = now.transmission_torque_nm[i];
+      fmt::print(trace, "{:.4f} {} {:.3f} {:.5f} {:.4f}", (now.now - supervisor.outcome().planned_contact).seconds(),
+                 static_cast<int>(supervisor.activity()), now.contact_force_n, now.face_gap_m, now.face_lateral_m);
+      for (int i = 0; i < world.dof(); ++i) {
+        fmt::print(trace, " {} {:.4f} {:.4f} {:.3f} {:.3f}", static_cast<int>(world.module(i).status().law),
+                   now.link_position_rad[at(i)], now.motor_velocity_rad_s[at(i)], now.transmission_torque_nm[at(i)],
+                   now.motor_torque_nm[at(i)]);
+      }
+      fmt::print(trace, "\n");
     }
   }
-  const sim::ContactRecord* blow = nullptr;
-  for (const sim::ContactRecord& c : world.plant().contacts()) {
-    if (blow == nullptr || c.impulse_n_s > blow->impulse_n_s) blow = &c;
-  }
+  const Truth* blow = watch.blow();
   if (supervisor.outcome().aborted != sup::AbortReason::none) {
     truth.outcome = sup::describe(supervisor.outcome().aborted);
   } else if (blow == nullptr) {
@@ -151,18 +229,10 @@ Truth simulate(const Strike& s) {
     truth.outcome = "hit";
   }
   if (blow == nullptr) return truth;
-  truth.contact_s = blow->duration().seconds();
-  truth.impulse = blow->impulse_n_s;
-  truth.peak_force = blow->peak_force_n;
-  truth.penetration = blow->penetration_m;
-  truth.speed = blow->speed_at_start_m_s;
-  truth.lateral = blow->lateral_m;
-  truth.early_s = (supervisor.outcome().planned_contact - blow->start).seconds();
-  for (std::size_t i = 0; i < before.size(); ++i) {
-    truth.joint[kTruthPerJoint * i] = blow->transmission_impulse_nm_s[i];
-    truth.joint[kTruthPerJoint * i + 1] = blow->peak_transmission_torque_nm[i];
-    truth.joint[kTruthPerJoint * i + 2] = before[i];
-  }
+  const std::string outcome = truth.outcome;
+  truth = *blow;
+  truth.outcome = outcome;
+  truth.early_s += supervisor.outcome().planned_contact.seconds();
   return truth;
 }
 
@@ -263,9 +333,16 @@ int main(int argc, char** argv) {
   app.add_option("--robot", robot_name, "folder under robots/")->capture_default_str();
   app.add_option("--out", out_path, "CSV to write")->capture_default_str();
   app.add_option("--archive", archive_path, "keeps emulated strikes from run to run");
+  int trace = -1;
+  app.add_option("--trace", trace, "emulate this strike alone and write its motion to --out");
   CLI11_PARSE(app, argc, argv);
 
   const RobotDescription robot = load_robot(std::filesystem::path(MRR_SOURCE_DIR) / "robots" / robot_name);
+  if (trace >= 0) {
+    const auto s = draw(robot, trace);
+    if (s) fmt::print("{}\n", simulate(*s, out_path).outcome);
+    return s ? 0 : 1;
+  }
   const sup::StrikeArm arm(robot);
   Archive archive(archive_path);
   std::ofstream out(out_path);
@@ -290,28 +367,31 @@ int main(int argc, char** argv) {
       header = true;
       fmt::print(out,
                  "strike,robot,board,joint,passive,mask,speed_share,rated,lever,q,qd,contact_s,impulse,peak_force,"
-                 "penetration,speed,lateral,early_s,height,follow,stop_s,true_impulse,true_peak,true_before");
+                 "penetration,speed,lateral,early_s,height,follow,stop_s,weight,true_impulse,true_peak,true_before");
       for (const Model& m : models) {
-        fmt::print(out, ",{0}_P,{0}_t,{0}_pen,{0}_impulse,{0}_peak,{0}_before", m.name);
+        fmt::print(out, ",{0}_P,{0}_t,{0}_start,{0}_pen,{0}_impulse,{0}_blow,{0}_peak,{0}_before", m.name);
       }
       fmt::print(out, "\n");
     }
     const sup::Jacobian J = arm.chain.jacobian(s->plan.q_impact);
     const sup::JointVector lever = J.topRows<3>().transpose() * s->plan.normal;
+    const sup::JointVector weight = -arm.chain.gravity(s->plan.q_impact);
     for (int i = 0; i < robot.dof(); ++i) {
-      fmt::print(out,
-                 "{},{},{},{},{},{},{:.4f},{},{:.5f},{:.5f},{:.5f},{:.5f},{:.5f},{:.3f},{:.5f},{:.5f},{:.5f},{:.5f},{:."
-                 "4f},{:.4f},{:.4f},{:.6f},{:.5f},{:.5f}",
-                 s->number, robot_name, s->board, i + 1, s->plan.passive >> i & 1U, s->plan.passive,
-                 s->request.speed_share, robot.joints[at(i)].transmission.rated_nm, lever[i], s->plan.q_impact[i],
-                 s->plan.qd_impact[i], truth.contact_s, truth.impulse, truth.peak_force, truth.penetration, truth.speed,
-                 truth.lateral, truth.early_s, s->robot.task.nail_height_m, s->plan.follow_through_m,
-                 (s->plan.stop_time - s->plan.contact_time).seconds(), -truth.joint[kTruthPerJoint * at(i)],
-                 truth.joint[kTruthPerJoint * at(i) + 1], -truth.joint[kTruthPerJoint * at(i) + 2]);
+      const double* joint = &truth.joint[kTruthPerJoint * at(i)];
+      fmt::print(out, "{},{},{},{},{},{}", s->number, robot_name, s->board, i + 1, s->plan.passive >> i & 1U,
+                 s->plan.passive);
+      for (const double x :
+           {s->request.speed_share, robot.joints[at(i)].transmission.rated_nm, lever[i], s->plan.q_impact[i],
+            s->plan.qd_impact[i], truth.contact_s, truth.impulse, truth.peak_force, truth.penetration, truth.speed,
+            truth.lateral, truth.early_s, s->robot.task.nail_height_m, s->plan.follow_through_m,
+            (s->plan.stop_time - s->plan.contact_time).seconds(), weight[i], -joint[0], joint[1], -joint[2]}) {
+        fmt::print(out, ",{:.6g}", x);
+      }
       for (const Model& m : models) {
         const sup::Prediction& p = m.prediction;
-        fmt::print(out, ",{:.5f},{:.5f},{:.5f},{:.6f},{:.5f},{:.5f}", p.impulse_n_s, p.contact_s, p.penetration_m,
-                   p.axis_impulse_nm_s[i], p.peak_torque_nm[i], p.carried_before_nm[i]);
+        fmt::print(out, ",{:.5f},{:.5f},{:.5f},{:.5f},{:.6f},{:.6f},{:.5f},{:.5f}", p.impulse_n_s, p.contact_s,
+                   p.start_s, p.penetration_m, p.axis_impulse_nm_s[i], p.blow_impulse_nm_s[i], p.peak_torque_nm[i],
+                   p.carried_before_nm[i]);
       }
       fmt::print(out, "\n");
     }

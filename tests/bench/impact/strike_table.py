@@ -35,12 +35,14 @@ def quantile(values, share):
 
 
 def error(row, model, what):
+    """Relative error of a joint's impulse (all of it), of the blow's part of it, or of its peak torque."""
     rated = row["rated"]
-    if what == "impulse":
-        true, floor = row["true_impulse"], FLOOR * rated * row["contact_s"]
-    else:
-        true, floor = row["true_peak"], FLOOR * rated
-    return abs(row[f"{model}_{what}"] - true) / max(abs(true), floor)
+    if what == "peak":
+        return abs(row[f"{model}_peak"] - row["true_peak"]) / max(row["true_peak"], FLOOR * rated)
+    true = row["true_impulse"]
+    if what == "blow":
+        true -= row["weight"] * row["contact_s"]
+    return abs(row[f"{model}_{what}"] - true) / max(abs(true), FLOOR * rated * row["contact_s"])
 
 
 def blow_error(row, model):
@@ -64,14 +66,14 @@ def table(rows, models):
         for passive in (0, 1):
             groups.append((f"joint {joint}, {'passive' if passive else 'active'}",
                            [r for r in rows if r["joint"] == joint and r["passive"] == passive]))
-    for what in ("impulse", "peak"):
+    for what in ("impulse", "blow", "peak"):
         for name, group in groups:
             cells = [cell([error(r, m, what) for r in group]) for m in models]
             yield f"| {name} ({len(group)}) | {what} | " + " | ".join(cells) + " |"
     blows = [r for r in rows if r["joint"] == 1]
     for board in ("hardwood", "styrofoam"):
         group = [r for r in blows if r["board"] == board]
-        yield f"| {board} ({len(group)}) | blow | " + " | ".join(
+        yield f"| {board} ({len(group)}) | on the nail | " + " | ".join(
             cell([blow_error(r, m) for r in group]) for m in models) + " |"
 
 
