@@ -81,6 +81,8 @@ class Node {
   void request_tpdo(std::uint8_t number) noexcept;
 
   [[nodiscard]] NmtState state() const noexcept { return state_; }
+  /// The objects as configured, before what was stored.
+  [[nodiscard]] const ObjectDictionary& factory() const noexcept { return factory_; }
   /// `node_id` is the one in force: LSS may have changed it.
   [[nodiscard]] const NodeConfig& config() const noexcept { return config_; }
 

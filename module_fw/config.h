@@ -133,6 +133,7 @@ struct WatchdogConfig {
   std::uint8_t missing_knots = 2;                     ///< this many knot periods without a knot: controlled stop
   Duration supervisor_heartbeat = milliseconds(500);  ///< consumer heartbeat time (0x1016) at start
   Duration sync = milliseconds(50);                   ///< in mode 8: without SYNC for longer is a fault
+  Duration loop = milliseconds(10);                   ///< longer between two ticks, while led, is a fault
 };
 
 /// All of it. Copied from the robot description on a PC, or linked in as a table on a microcontroller.

@@ -1,5 +1,6 @@
 #include "module_fw/module.h"
 
+#include <bit>
 #include <limits>
 
 #include "can_protocol/units.h"
@@ -9,39 +10,29 @@ namespace mrr::fw {
 namespace {
 
 using can::Emergency;
+using can::Fault;
 using can::LimitCode;
+using can::Reaction;
 
 constexpr Duration kSensorStart = milliseconds(1000);  // by then every sensor must have spoken
-constexpr std::uint8_t kOverSpeedTicks = 5;
-constexpr float kOverSpeedShare = 1.5F;         // of the joint's limit
-constexpr float kPositionSlack = 0.01F;         // rad beyond a soft limit before the joint is stopped for it
-constexpr float kStill = 1e-3F;                 // rad/s: slower is not moving towards a limit
-constexpr float kConfirmShare = 0.05F;          // of full-scale current: agreement that confirms torque
-constexpr float kMaxCompensationShare = 0.95F;  // of the Coulomb friction: the passive law must not drive
+constexpr float kPositionSlack = 0.01F;                // rad beyond a soft limit before the joint is stopped for it
+constexpr float kStill = 1e-3F;                        // rad/s: slower is not moving towards a limit
+constexpr float kConfirmShare = 0.05F;                 // of full-scale current: agreement that confirms torque
+constexpr float kMaxCompensationShare = 0.95F;         // of the Coulomb friction: the passive law must not drive
 constexpr float kHoldLeash = 0.8F;  // of the resynchronisation window: a held joint can always be taken over again
+constexpr float kDamped = 0.05F;    // rad/s: slow enough for the brake when damping
+constexpr Duration kDampTime = milliseconds(150);  // ... which closes then at the latest
 constexpr std::uint32_t kNotWatched = 0xFFFF'FFFFU;
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 
-// Every fault a module can raise itself, to be cleared together.
-constexpr std::array kOwnFaults{
-    Emergency::internal,
-    Emergency::encoder,
-    Emergency::torque_sensor,
-    Emergency::current_sensor,
-    Emergency::temperature_sensor,
-    Emergency::winding_over_temperature,
-    Emergency::drive_over_temperature,
-    Emergency::over_voltage,
-    Emergency::under_voltage,
-    Emergency::power_stage,
-    Emergency::brake_not_released,
-    Emergency::motor_blocked,
-    Emergency::following_error,
-    Emergency::over_speed,
-    Emergency::heartbeat_lost,
-    Emergency::sync_lost,
-    Emergency::configuration,
-};
+#ifndef MRR_NO_TEST_OBJECTS
+Fault fault_of(Emergency code) noexcept {
+  for (std::size_t i = 0; i < can::kFaultCount; ++i) {
+    if (can::kFaults[i].code == code) return static_cast<Fault>(i);
+  }
+  return Fault::none;
+}
+#endif
 
 bool positive(float x) noexcept { return x > 0.0F && is_finite(x); }
 bool not_negative(float x) noexcept { return x >= 0.0F && is_finite(x); }
@@ -131,7 +122,9 @@ Module::Module(const ModuleConfig& config) noexcept
       drive_(config_.drive, config_.sensing, config_.limits, dt_s_),
       brake_(config_.brake),
       usable_at_start_(usable(config)),
-      configuration_valid_(usable_at_start_) {
+      configuration_valid_(usable_at_start_),
+      faults_(config_.tick),
+      sensor_watch_(config_) {
   status_.homed = config_.sensing.encoder_absolute;
   homing_.configure(config_.homing);
   apply_live_parameters();
@@ -244,17 +237,56 @@ void Module::apply_parameters() noexcept {
   passive_ = PassiveLaw(c.passive, dt_s_);
   selector_ = make_selector(c.passive, c.tick);
   drive_.configure(c.drive, c.limits);
+  sensor_watch_.configure(c);
   selection_ = SelectionSwitch(c.selection_bit);
   homing_.configure(c.homing);
   if (new_period) pll_ = SyncPll(knot_period);
 }
 
+void Module::load_parameters(can::StoragePort& port) noexcept {
+  store_.load(port, od_, node_.config().node_id);
+  stored_refused_ = store_.state() == can::StorageState::refused;
+  od_.configuration_hash = can::hash_with_changes(config_.configuration_hash, node_.factory(), od_);
+  parameters_changed_ = true;
+  apply_live_parameters();
+  publish_storage();
+}
+
+// Not while the joint is led: a memory may hold up the controller.
+can::Abort Module::begin_write(const can::ObjectDictionary* od) noexcept {
+  if (!store_.has_memory()) return can::Abort::cannot_store;
+  if (brake_.phase() != BrakeSequence::Phase::off) return can::Abort::state;
+  return store_.begin_write(od, node_.config().node_id) ? can::Abort::none : can::Abort::local_control;
+}
+
+can::Abort Module::store(Time) noexcept {
+  const can::Abort refused = begin_write(&od_);
+  if (refused == can::Abort::none) {
+    od_.configuration_hash = can::hash_with_changes(config_.configuration_hash, node_.factory(), od_);
+    stored_refused_ = false;
+  }
+  return refused;
+}
+
+can::Abort Module::restore_defaults(Time) noexcept { return begin_write(nullptr); }
+
+void Module::publish_storage() noexcept {
+  od_.storage_state = static_cast<std::uint8_t>(store_.state());
+  od_.storage_version = store_.version();
+  od_.storage_slot = store_.slot();
+  od_.storage_migrated = store_.migrated();
+  od_.storage_refused = store_.refused_object();
+}
+
 // ---------------------------------------------------------------------------------------------- communication
 
-can::Abort Module::may_write(can::ObjectId id, const can::Value&) noexcept {
+can::Abort Module::may_write(can::ObjectId id, [[maybe_unused]] const can::Value& value) noexcept {
 #ifndef MRR_NO_TEST_OBJECTS
   // One provoked fault at a time: the reset clears the first cause.
-  if (id == can::ObjectId::test_fault && status_.fault != Emergency::none) return can::Abort::state;
+  if (id == can::ObjectId::test_fault) {
+    if (status_.fault != Emergency::none) return can::Abort::state;
+    if (fault_of(static_cast<Emergency>(value.as_unsigned())) == Fault::none) return can::Abort::value;
+  }
 #endif
   // The loop is locked to this period while the joint is led.
   if (id == can::ObjectId::knot_period_us && machine_.state() == DriveState::operation_enabled)
@@ -262,14 +294,18 @@ can::Abort Module::may_write(can::ObjectId id, const can::Value&) noexcept {
   return can::Abort::none;
 }
 
-void Module::written(can::ObjectId id, can::WriteSource source, Time) noexcept {
+void Module::written(can::ObjectId id, can::WriteSource source, Time at) noexcept {
 #ifndef MRR_NO_TEST_OBJECTS
   if (id == can::ObjectId::test_fault) {
-    test_fault_ = static_cast<Emergency>(od_.test_fault);
+    test_fault_ = fault_of(static_cast<Emergency>(od_.test_fault));
     return;
   }
 #endif
   const bool by_sdo = source == can::WriteSource::sdo;
+  if (!by_sdo && id == can::ObjectId::target_torque_permille) {
+    torque_target_came_ = true;
+    torque_target_at_ = at;
+  }
   if (by_sdo) parameters_changed_ = true;
   if (by_sdo || id == can::ObjectId::max_torque_permille) apply_live_parameters();
 }
@@ -277,6 +313,15 @@ void Module::written(can::ObjectId id, can::WriteSource source, Time) noexcept {
 // Objects that are in force at once.
 void Module::apply_live_parameters() noexcept {
   max_torque_nm_ = static_cast<float>(od_.max_torque_permille) * 1e-3F * config_.drive.rated_torque_nm;
+  faults_.set_reaction(Fault::knots_lost, static_cast<Reaction>(od_.reaction_knots_lost));
+  faults_.set_reaction(Fault::torque_target_lost, static_cast<Reaction>(od_.reaction_torque_target_lost));
+  faults_.set_reaction(Fault::heartbeat_lost, static_cast<Reaction>(od_.reaction_heartbeat_lost));
+  faults_.set_reaction(Fault::sync_lost, static_cast<Reaction>(od_.reaction_sync_lost));
+  faults_.set_reaction(Fault::bus_off, static_cast<Reaction>(od_.reaction_bus_off));
+  sensing_.set_torque_offset(od_.torque_sensor_offset_nm);
+  const ControlConfig& k = config_.control;
+  const float own_damping = 2.0F * k.lambda_1_s * k.inertia_kg_m2;
+  damping_nm_s_rad_ = k.velocity_gain_nm_s_rad > own_damping ? k.velocity_gain_nm_s_rad : own_damping;
   const bool watched = od_.following_error_window_urad != kNotWatched;
   following_error_rad_ = watched ? static_cast<float>(od_.following_error_window_urad) * 1e-6F : kInfinity;
   following_error_limit_ticks_ = milliseconds(od_.following_error_timeout_ms) / config_.tick;
@@ -339,7 +384,7 @@ void Module::offer_knot(const Knot& knot, Duration period) noexcept {
   switch (reference_.offer(knot, pll_.sync_time(), period, sensing_.position_rad())) {
     case KnotVerdict::resynchronised:
       passive_ended_by_ = LimitCode::none;
-      node_.clear(Emergency::knots_lost, status_.now);
+      knots_lost_ = false;
       [[fallthrough]];
     case KnotVerdict::accepted:
       hold_reason_ = LimitCode::none;
@@ -382,11 +427,25 @@ void Module::reset(can::ResetKind kind, Time) noexcept {
   selection_.reset();
   parameters_changed_ = true;
   apply_live_parameters();
-  if (kind == can::ResetKind::node) heartbeat_lost_ = false;
+  if (kind == can::ResetKind::node) {
+    heartbeat_lost_ = false;
+    raised_ = 0;  // the node has forgotten its errors: what is still in force is told again
+    od_.configuration_hash = can::hash_with_changes(config_.configuration_hash, node_.factory(), od_);
+  }
 }
 
 void Module::heartbeat_lost(std::uint8_t node_id, Time) noexcept {
   if (node_id == config_.supervisor_node_id) heartbeat_lost_ = true;
+}
+
+void Module::bus_off(Time now) noexcept {
+  if (!bus_off_) node_.bus_off(now);
+  bus_off_ = true;
+}
+
+void Module::bus_recovered(Time now) noexcept {
+  if (bus_off_) node_.bus_recovered(now);
+  bus_off_ = false;
 }
 
 void Module::heartbeat_seen(std::uint8_t node_id, can::NmtState, Time) noexcept {
@@ -400,114 +459,170 @@ bool Module::may_change_law() const noexcept {
          authority_ == Authority::motion && brake_.motion_allowed() && status_.homed;
 }
 
-void Module::fail(Emergency cause, Time now) noexcept {
-  const bool first = status_.fault == Emergency::none;
-  if (!first && node_.is_present(cause)) return;
-  publish();  // the picture of this instant
+// A cause that is new: the bus is told; of those that end in FAULT the first is kept with a picture of the joint.
+void Module::fail(Fault fault, Time now) noexcept {
+  const Emergency code = can::row_of(fault).code;
   shown_ = false;
-  if (first) {
-    status_.fault = cause;
-    status_.fault_at = now;
-    od_.first_fault_cause = static_cast<std::uint16_t>(cause);
-    od_.first_fault_time_ms = static_cast<std::uint32_t>(now.ns / 1'000'000);
-    od_.first_fault_position_urad = od_.position_actual_urad;
-    od_.first_fault_velocity_urad_s = od_.velocity_actual_urad_s;
-    od_.first_fault_torque_permille = od_.torque_actual_permille;
-    od_.first_fault_statusword = od_.statusword;
-    od_.first_fault_detail = od_.active_limit;
+  publish();
+  shown_ = false;
+  if (faults_.reaction_of(fault) >= Reaction::stop) {
+    if (status_.fault == Emergency::none) {
+      status_.fault = code;
+      status_.cause = fault;
+      status_.fault_at = now;
+      od_.first_fault_cause = static_cast<std::uint16_t>(code);
+      od_.first_fault_time_ms = static_cast<std::uint32_t>(now.ns / 1'000'000);
+      od_.first_fault_position_urad = od_.position_actual_urad;
+      od_.first_fault_velocity_urad_s = od_.velocity_actual_urad_s;
+      od_.first_fault_torque_permille = od_.torque_actual_permille;
+      od_.first_fault_current_permille = od_.current_actual_permille;
+      od_.first_fault_mode = od_.modes_of_operation_display;
+      od_.first_fault_statusword = od_.statusword;
+      od_.first_fault_detail = od_.active_limit;
+    } else if (od_.later_faults < 0xFFFFU) {
+      ++od_.later_faults;
+    }
   }
-  od_.error_code = static_cast<std::uint16_t>(cause);
-  if (!node_.is_present(cause)) {
-    const auto limit_code = static_cast<std::uint16_t>(od_.active_limit);
-    node_.raise(
-        cause,
-        {static_cast<std::uint8_t>(status_.state), static_cast<std::uint8_t>(od_.modes_of_operation_display),
-         static_cast<std::uint8_t>(limit_code), static_cast<std::uint8_t>(status_.law), od_.selection_acknowledged},
-        now);
+  od_.error_code = static_cast<std::uint16_t>(code);
+  node_.raise(
+      code,
+      {static_cast<std::uint8_t>(status_.state), static_cast<std::uint8_t>(od_.modes_of_operation_display),
+       static_cast<std::uint8_t>(od_.active_limit), static_cast<std::uint8_t>(status_.law), od_.selection_acknowledged},
+      now);
+}
+
+// Everything that the table of faults says, looked for. What is in force in this tick stands in faults_ afterwards.
+void Module::watch(Time now, const RawSensors& sensors) noexcept {
+  faults_.begin_tick();
+  find_faults(now, sensors);
+  const std::uint64_t present = faults_.present();
+  if ((present | raised_) != 0) settle_faults(now);
+  if (machine_.state() != DriveState::fault_reaction_active) reaction_ = Reaction::report;
+  if (!faults_.disables()) return;
+  const Reaction wanted = od_.fault_reaction_option_code == 0 ? Reaction::torque_off : faults_.worst();
+  if (reaction_ == Reaction::report) reaction_since_ = now;
+  if (wanted > reaction_) reaction_ = wanted;
+}
+
+// New causes, the hardest first; those that are over and were no reason for FAULT are taken back.
+void Module::settle_faults(Time now) noexcept {
+  const std::uint64_t present = faults_.present();
+  const auto tell = [&](Fault fault) {
+    raised_ |= FaultMonitor::bit(fault);
+    fail(fault, now);
+    const bool silence = fault == Fault::heartbeat_lost || fault == Fault::sync_lost || fault == Fault::bus_off;
+    if (silence && faults_.reaction_of(fault) == Reaction::hold && brake_.motion_allowed())
+      stop_at_limit(LimitCode::watchdog);
+  };
+  if ((present & ~raised_) != 0 && (raised_ & FaultMonitor::bit(faults_.cause())) == 0) tell(faults_.cause());
+  for (std::uint64_t fresh = present & ~raised_; fresh != 0; fresh &= fresh - 1U) {
+    tell(static_cast<Fault>(std::countr_zero(fresh)));
+  }
+  for (std::uint64_t over = raised_ & ~present; over != 0; over &= over - 1U) {
+    const auto fault = static_cast<Fault>(std::countr_zero(over));
+    if (faults_.reaction_of(fault) >= Reaction::stop) continue;  // until the reset
+    raised_ &= ~FaultMonitor::bit(fault);
+    node_.clear(can::row_of(fault).code, now);
   }
 }
 
-// Conditions that forbid motion, worst first. condition_ is what is wrong in this tick.
-void Module::watch(Time now) noexcept {
-  condition_ = Emergency::none;
-  cut_ = false;
-  blind_ = false;
-  const auto found = [&](Emergency cause) {
-    if (condition_ == Emergency::none) condition_ = cause;
-    fail(cause, now);
-  };
-  if (!configuration_valid_) found(Emergency::configuration);
-  if (torque_not_finite_) {
-    cut_ = true;
-    found(Emergency::internal);
+void Module::find_faults(Time now, const RawSensors& sensors) noexcept {
+  const ModuleConfig& c = config_;
+  const bool enabled = machine_.state() == DriveState::operation_enabled;
+  const bool held = brake_.phase() == BrakeSequence::Phase::off;
+  faults_.check(Fault::configuration, !configuration_valid_);
+  const MotionState& r = reference_.state();
+  const float sum = sensing_.position_rad() + sensing_.velocity_rad_s() + r.position_rad + r.velocity_rad_s +
+                    r.acceleration_rad_s2 + load_torque_nm_ + drive_.thermal_load();
+  faults_.check(Fault::not_a_number, torque_not_finite_ || !is_finite(sum));
+  faults_.check(Fault::loop_overrun, late_);
+  faults_.check(Fault::stored_parameters, stored_refused_);
+  faults_.check(Fault::storage, store_.lost_something());
+#ifndef MRR_NO_TEST_OBJECTS
+  if (test_fault_ != Fault::none) {
+    faults_.find(test_fault_);
+    if (faults_.reaction_of(test_fault_) < Reaction::stop) test_fault_ = Fault::none;  // nothing to reset
   }
-  if (test_fault_ != Emergency::none) found(test_fault_);
-  if (sensing_.input(kInputPowerStageFault)) {
-    cut_ = true;
-    found(Emergency::power_stage);
-  }
+#endif
+  faults_.check(Fault::power_stage, sensing_.input(kInputPowerStageFault));
   if (!sensing_.complete() && now - started_at_ <= kSensorStart) return;  // still starting
 
-  const ModuleConfig& c = config_;
-  if (!sensing_.position_valid()) {
-    blind_ = true;
-    found(Emergency::encoder);
-  }
-  if (c.sensing.torque_sensor && !sensing_.joint_torque_nm().valid && !without_torque_sensor(now)) {
-    found(Emergency::torque_sensor);
-  }
-  if (!sensing_.current_a().valid) found(Emergency::current_sensor);
+  const bool sensed = sensing_.joint_torque_nm().valid;
+  sensor_watch_.update(sensors, sensing_,
+                       {.free = brake_.brake_open() && sensing_.input(kInputBrakeReleased),
+                        .commanded_a = drive_.commanded_current_a(),
+                        .load_nm = sensed ? sensing_.joint_torque_nm().value : load_torque_nm_,
+                        .load_known = sensed || model_torque_fresh(now)},
+                       faults_);
+  const bool torque_lost = c.sensing.torque_sensor && !sensing_.joint_torque_nm().valid;
+  if (!sensor_watch_.torque_trusted()) sensing_.distrust_torque();
+  const Fault torque_trouble = torque_lost ? Fault::torque_sensor_lost : sensor_watch_.torque_trouble();
+  if (torque_trouble != Fault::none && !without_torque_sensor(now)) faults_.find(torque_trouble);
+  faults_.check(Fault::current_sensor, !sensing_.current_a().valid);
   const Reading& winding = sensing_.winding_c();
   const Reading& stage = sensing_.drive_c();
   const Reading& voltage = sensing_.bus_voltage_v();
-  if (!winding.valid || !stage.valid) {
-    found(Emergency::temperature_sensor);
+  if (faults_.check(Fault::temperature_sensor, !winding.valid || !stage.valid)) {
   } else {
-    if (!(winding.value < c.drive.max_winding_temperature_c)) found(Emergency::winding_over_temperature);
-    if (!(stage.value < c.drive.max_drive_temperature_c)) found(Emergency::drive_over_temperature);
+    faults_.check(Fault::winding_over_temperature, !(winding.value < c.drive.max_winding_temperature_c));
+    faults_.check(Fault::drive_over_temperature, !(stage.value < c.drive.max_drive_temperature_c));
   }
-  if (!voltage.valid || !(voltage.value >= c.drive.min_bus_voltage_v)) found(Emergency::under_voltage);
-  if (voltage.valid && !(voltage.value <= c.drive.max_bus_voltage_v)) found(Emergency::over_voltage);
+  faults_.check(Fault::thermal_overload, !(drive_.thermal_load() <= can::row_of(Fault::thermal_overload).threshold));
+  faults_.check(Fault::under_voltage, !voltage.valid || !(voltage.value >= c.drive.min_bus_voltage_v));
+  faults_.check(Fault::over_voltage, voltage.valid && !(voltage.value <= c.drive.max_bus_voltage_v));
+  const bool lower = sensing_.input(kInputNegativeLimit);
+  const bool upper = sensing_.input(kInputPositiveLimit);
+  faults_.check(Fault::limit_switches, lower && upper);
+  if (!lower && !upper) limit_switch_hit_ = false;
+  faults_.check(Fault::limit_switch, limit_switch_hit_);
 
   switch (brake_trouble_) {
     case BrakeSequence::Trouble::none:
       break;
     case BrakeSequence::Trouble::torque_not_confirmed:
-      found(Emergency::motor_blocked);
+      faults_.find(Fault::torque_not_confirmed);
       break;
     case BrakeSequence::Trouble::not_released:
-      found(Emergency::brake_not_released);
+      faults_.find(Fault::brake_not_released);
+      break;
+    case BrakeSequence::Trouble::not_engaged:
+      faults_.find(Fault::brake_not_engaged);
       break;
   }
-  if (brake_.phase() == BrakeSequence::Phase::off) {
-    over_speed_ticks_ = 0;
+  faults_.check(Fault::homing_failed, mode_ == Mode::homing && homing_.phase() == Homing::Phase::failed);
+  faults_.check(Fault::knots_lost, knots_lost_);
+  faults_.check(Fault::torque_target_lost, torque_target_lost_);
+  // A switch that is armed, or a passive phase that runs, is carried through even without a supervisor: both are
+  // bounded.
+  const bool watched = enabled && !(selection_.armed() || passive());
+  faults_.check(Fault::heartbeat_lost, watched && heartbeat_lost_);
+  faults_.check(Fault::sync_lost, watched && sync_seen_ && od_.watchdog_sync_ms != 0 &&
+                                      mode_ == Mode::cyclic_position &&
+                                      now - last_sync_at_ > milliseconds(od_.watchdog_sync_ms) &&
+                                      now - last_sync_at_ > pll_.period() * 4);
+  faults_.check(Fault::bus_off, watched && bus_off_);
+  if (held) {
+    faults_.forget(Fault::over_speed);
+    faults_.forget(Fault::position_limit);
+    faults_.forget(Fault::brake_closed);
     following_error_ticks_ = 0;
     return;
   }
-  const bool fast = !(absolute(sensing_.velocity_rad_s()) <= kOverSpeedShare * c.limits.velocity_rad_s);
-  over_speed_ticks_ = fast ? static_cast<std::uint8_t>(over_speed_ticks_ + 1U) : std::uint8_t{0};
-  if (over_speed_ticks_ >= kOverSpeedTicks) {
-    over_speed_ticks_ = kOverSpeedTicks;
-    found(Emergency::over_speed);
-  }
-  const bool enabled = machine_.state() == DriveState::operation_enabled;
+  const float v = sensing_.velocity_rad_s();
+  faults_.check(Fault::over_speed,
+                !(absolute(v) <= can::row_of(Fault::over_speed).threshold * c.limits.velocity_rad_s));
+  const float q = sensing_.position_rad();
+  const float beyond = can::row_of(Fault::position_limit).threshold;
+  faults_.check(Fault::position_limit, status_.homed && ((q > c.limits.upper_rad + beyond && v > kStill) ||
+                                                         (q < c.limits.lower_rad - beyond && v < -kStill)));
+  faults_.check(Fault::brake_closed, brake_.brake_open() && !sensing_.input(kInputBrakeReleased));
   if (enabled && selector_.law() == Law::active && brake_.motion_allowed() && !torque_mode() &&
       !selector_.catching_up()) {
-    const float error = sensing_.position_rad() - reference_.state().position_rad;
+    const float error = q - r.position_rad;
     following_error_ticks_ = absolute(error) <= following_error_rad_ ? 0 : following_error_ticks_ + 1;
-    if (following_error_ticks_ > following_error_limit_ticks_) found(Emergency::following_error);
+    if (following_error_ticks_ > following_error_limit_ticks_) faults_.find(Fault::following_error);
   } else {
     following_error_ticks_ = 0;
-  }
-  // A switch that is armed, or a passive phase that runs, is carried through even without a supervisor: both are
-  // bounded.
-  const bool blow = selection_.armed() || passive();
-  if (enabled && !blow) {
-    if (heartbeat_lost_) found(Emergency::heartbeat_lost);
-    if (sync_seen_ && od_.watchdog_sync_ms != 0 && mode_ == Mode::cyclic_position &&
-        now - last_sync_at_ > milliseconds(od_.watchdog_sync_ms) && now - last_sync_at_ > pll_.period() * 4) {
-      found(Emergency::sync_lost);
-    }
   }
 }
 
@@ -532,7 +647,7 @@ void Module::decide_state(Time now) noexcept {
   // Motion needs NMT OPERATIONAL; without it an enabled joint is disabled in order.
   if (!status_.operational) in.controlword = static_cast<std::uint16_t>(in.controlword & ~0x08U);
   in.ready = sensing_.complete();
-  in.fault = condition_ != Emergency::none;
+  in.fault = faults_.disables();
   const DriveState before = machine_.state();
   in.stopped =
       before == DriveState::fault_reaction_active ? brake_.phase() == BrakeSequence::Phase::off : reference_.at_rest();
@@ -542,11 +657,13 @@ void Module::decide_state(Time now) noexcept {
     if (after == DriveState::operation_enabled && before == DriveState::switched_on) enable();
     if (before == DriveState::operation_enabled) selection_.disarm();
     if (before == DriveState::fault && after == DriveState::switch_on_disabled) {
-      for (const Emergency e : kOwnFaults) {
-        if (node_.is_present(e)) node_.clear(e, now);
+      for (std::uint64_t left = raised_ & ~faults_.present(); left != 0; left &= left - 1U) {
+        node_.clear(can::row_of(static_cast<Fault>(std::countr_zero(left))).code, now);
       }
-      node_.clear(Emergency::knots_lost, now);
-      if (status_.fault != Emergency::none) node_.clear(status_.fault, now);  // a provoked one may be any
+      raised_ &= faults_.present();
+      sensor_watch_.reset();
+      status_.cause = Fault::none;
+      od_.later_faults = 0;
       status_.fault = Emergency::none;
       od_.first_fault_cause = 0;
       od_.error_code = 0;
@@ -555,8 +672,12 @@ void Module::decide_state(Time now) noexcept {
   // A fault that can pass by itself is forgotten once the joint is safe; the latch stays in the state machine.
   if (after == DriveState::fault && machine_.fault_reset_requested() == false) {
     torque_not_finite_ = false;
-    test_fault_ = Emergency::none;
+    late_ = false;
+    stored_refused_ = false;
+    sensor_watch_.reset();
+    test_fault_ = Fault::none;
     brake_trouble_ = BrakeSequence::Trouble::none;
+    knots_lost_ = torque_target_lost_ = false;
     if (parameters_changed_) apply_parameters();
   }
 }
@@ -577,7 +698,7 @@ void Module::enable() noexcept {
   saturated_ = false;
   load_by_model_ = load_catches_up_ = false;
   load_torque_nm_ = sensing_.joint_torque_nm().value;
-  over_speed_ticks_ = 0;
+  knots_lost_ = torque_target_lost_ = torque_target_came_ = limit_switch_hit_ = false;
   following_error_ticks_ = 0;
   last_requested_mode_ = od_.modes_of_operation;
   homing_start_bit_ = true;  // a start bit that was set before does not start
@@ -656,6 +777,11 @@ void Module::lead(Time now) noexcept {
   follow_mode(now);
   const Authority before = authority_;
   if (limit_stop_ && mode_ != Mode::cyclic_torque && reference_.at_rest()) limit_stop_ = false;
+  if (torque_target_lost_ && torque_target_came_) {
+    // A target came again: the torque returns, at the slew rate.
+    torque_target_lost_ = limit_stop_ = false;
+    hold_reason_ = LimitCode::none;
+  }
   authority_ = arbitrate();
   switch (authority_) {
     case Authority::fault_reaction:
@@ -777,13 +903,20 @@ void Module::watch_motion(Time now) noexcept {
   if (above && up) stop_at_limit(LimitCode::position_upper);
   if (below && down) stop_at_limit(LimitCode::position_lower);
   if ((sensing_.input(kInputPositiveLimit) && up) || (sensing_.input(kInputNegativeLimit) && down)) {
+    limit_switch_hit_ = true;
     stop_at_limit(LimitCode::limit_switch);
+  }
+  if (torque && torque_target_came_ && od_.watchdog_torque_ms != 0 &&
+      now - torque_target_at_ > milliseconds(od_.watchdog_torque_ms)) {
+    torque_target_lost_ = true;
+    torque_target_came_ = false;
+    stop_at_limit(LimitCode::watchdog);
   }
   // The set-point watchdog: the last knot has been continued for as long as it may be.
   if (reference_.following()) {
     const Duration bound = pll_.period() * config_.watchdog.missing_knots + pll_.period() / 4;
     if (reference_.since_knot(now) > bound) {
-      node_.raise(Emergency::knots_lost, now);
+      knots_lost_ = true;
       stop_at_limit(LimitCode::knots_lost);
     }
   }
@@ -835,7 +968,11 @@ float Module::control_torque(Time now) noexcept {
     return tau;
   }
   if (selector_.law() == Law::off) return selector_.step(0.0F, 0.0F);
-  if (blind_) {
+  if (reaction_ == Reaction::damp) {
+    const float carried = sensing_.joint_torque_nm().valid ? load_torque_nm_ : 0.0F;
+    return selector_.step(carried - damping_nm_s_rad_ * sensing_.velocity_rad_s(), 0.0F);
+  }
+  if (reaction_ == Reaction::brake) {
     // Without a position the best that can be done until the brake holds: carry what the joint carries, add nothing.
     return selector_.step(sensing_.joint_torque_nm().valid ? load_torque_nm_ : 0.0F, 0.0F);
   }
@@ -862,9 +999,23 @@ void Module::sequence_brake(Time now) noexcept {
   in.torque_confirmed =
       current.valid && !selector_.catching_up() &&
       absolute(current.value - drive_.commanded_current_a()) <= kConfirmShare * config_.sensing.current_full_scale_a;
-  in.at_rest = blind_ || reference_.at_rest();
+  switch (reaction_) {
+    case Reaction::brake:
+      in.at_rest = true;
+      break;
+    case Reaction::damp:
+      in.at_rest = absolute(sensing_.velocity_rad_s()) < kDamped || now - reaction_since_ > kDampTime;
+      break;
+    case Reaction::report:
+    case Reaction::derate:
+    case Reaction::hold:
+    case Reaction::stop:
+    case Reaction::torque_off:
+      in.at_rest = reference_.at_rest();
+      break;
+  }
   in.feedback_released = sensing_.input(kInputBrakeReleased);
-  in.cut = cut_;
+  in.cut = cut();
   const BrakeSequence::Trouble trouble = brake_.update(now, in);
   if (trouble != BrakeSequence::Trouble::none) brake_trouble_ = trouble;
 }
@@ -879,17 +1030,23 @@ void Module::step(Time now, const RawSensors& sensors, std::span<const can::Rece
   }
   if (!received.empty()) publish();  // what frames may ask for is the last tick
   shown_ = false;
+  const Duration since_last = now - status_.now;
+  if (ticked_ && since_last > config_.tick + config_.tick / 2) {
+    ++od_.count_loop_overruns;
+    if (since_last > config_.watchdog.loop && brake_.phase() != BrakeSequence::Phase::off) late_ = true;
+  }
+  ticked_ = true;
   status_.now = now;
   sensing_.update(now, sensors);
   for (const can::ReceivedFrame& frame : received) node_.handle(frame, tx);
 
-  watch(now);
+  watch(now, sensors);
   decide_state(now);
   sequence_brake(now);
   lead(now);
 
   actuator = {};
-  if (brake_.power_stage_enabled() && !cut_) {
+  if (brake_.power_stage_enabled() && !cut()) {
     const float demanded = control_torque(now);
     const Drive::Output out = drive_.command(demanded, sensing_.current_a(), sensing_.winding_c(), max_torque_nm_);
     if (out.finite) {
@@ -911,6 +1068,10 @@ void Module::step(Time now, const RawSensors& sensors, std::span<const can::Rece
     drive_limit_ = DriveLimit::none;
     saturated_ = false;
     status_.torque_command_nm = 0.0F;
+  }
+  if (store_.state() == can::StorageState::writing) {
+    store_.tick();
+    publish_storage();
   }
   node_.tick(now, tx);
 }
@@ -943,7 +1104,7 @@ can::LimitCode Module::active_limit() const noexcept {
 std::uint16_t Module::statusword() const noexcept {
   std::uint32_t word = machine_.state_bits() | static_cast<std::uint32_t>(kStatusRemote);
   if (sensing_.bus_voltage_v().valid) word |= kStatusVoltageEnabled;
-  if (node_.is_present(Emergency::knots_lost)) word |= kStatusWarning;
+  if (raised_ != 0 && !faults_.disables()) word |= kStatusWarning;
   if (status_.limit != LimitCode::none) word |= kStatusInternalLimit;
   switch (mode_) {
     case Mode::homing:

@@ -8,6 +8,7 @@
 
 #include "can_protocol/frame.h"
 #include "can_protocol/node.h"
+#include "can_protocol/storage.h"
 #include "common/core/time.h"
 #include "module_fw/actions/brake_sequence.h"
 #include "module_fw/actions/drive_state_machine.h"
@@ -20,6 +21,8 @@
 #include "module_fw/control/sync_pll.h"
 #include "module_fw/control/torque_selector.h"
 #include "module_fw/drive/drive.h"
+#include "module_fw/faults/fault_monitor.h"
+#include "module_fw/faults/sensor_watch.h"
 #include "module_fw/joint_io.h"
 #include "module_fw/sensing/sensing.h"
 #include "module_fw/status.h"
@@ -40,6 +43,14 @@ class Module final : private can::NodeApplication {
   /// @param tx        out: frames to send are appended, oldest first
   void step(Time now, const RawSensors& sensors, std::span<const can::ReceivedFrame> received,
             ActuatorCommand& actuator, can::TransmitQueue& tx) noexcept;
+
+  /// Takes over what 1010h stored there, and stores there from now on. Before the first step; may wait for the memory.
+  /// `port` must outlive the module.
+  void load_parameters(can::StoragePort& port) noexcept;
+
+  /// The shell's CAN controller went bus-off, or is back.
+  void bus_off(Time now) noexcept;
+  void bus_recovered(Time now) noexcept;
 
   /// For tests and telemetry only: nothing on the robot's bus depends on it.
   [[nodiscard]] const ModuleStatus& status() const noexcept {
@@ -63,15 +74,21 @@ class Module final : private can::NodeApplication {
   void reset(can::ResetKind kind, Time at) noexcept override;
   void heartbeat_lost(std::uint8_t node_id, Time at) noexcept override;
   void heartbeat_seen(std::uint8_t node_id, can::NmtState state, Time at) noexcept override;
+  can::Abort store(Time at) noexcept override;
+  can::Abort restore_defaults(Time at) noexcept override;
 
   /// Configuration -> objects, once at start.
   void fill_objects() noexcept;
   /// Objects -> laws and limits: what was written over the bus comes into force when the joint is enabled.
   void apply_parameters() noexcept;
   void apply_live_parameters() noexcept;
+  [[nodiscard]] can::Abort begin_write(const can::ObjectDictionary* od) noexcept;
+  void publish_storage() noexcept;
 
   // The stages of a tick, in their order.
-  void watch(Time now) noexcept;
+  void watch(Time now, const RawSensors& sensors) noexcept;
+  void find_faults(Time now, const RawSensors& sensors) noexcept;
+  void settle_faults(Time now) noexcept;
   void decide_state(Time now) noexcept;
   void lead(Time now) noexcept;
   void follow_mode(Time now) noexcept;
@@ -85,7 +102,8 @@ class Module final : private can::NodeApplication {
   void refresh() noexcept override { publish(); }
 
   void offer_knot(const Knot& knot, Duration period) noexcept;
-  void fail(can::Emergency cause, Time now) noexcept;
+  void fail(can::Fault fault, Time now) noexcept;
+  [[nodiscard]] bool cut() const noexcept { return reaction_ == can::Reaction::torque_off; }
   void enable() noexcept;
   void stop_and_hold(float deceleration_rad_s2) noexcept;
   void stop_at_limit(can::LimitCode why) noexcept;
@@ -113,6 +131,8 @@ class Module final : private can::NodeApplication {
   mutable can::ObjectDictionary od_;
   mutable bool shown_ = false;  ///< both show the last tick
   can::Node node_;
+  can::ParameterStore store_;
+  bool stored_refused_ = false;
   SyncPll pll_;
   SelectionSwitch selection_;
 
@@ -166,16 +186,26 @@ class Module final : private can::NodeApplication {
   DriveLimit drive_limit_ = DriveLimit::none;
 
   // Faults
-  can::Emergency condition_ = can::Emergency::none;  ///< in force in this tick
-  bool cut_ = false;                                 ///< no torque may be trusted
-  bool blind_ = false;                               ///< the position is not known
-  std::uint8_t over_speed_ticks_ = 0;
+  FaultMonitor faults_;
+  SensorWatch sensor_watch_;
+  std::uint64_t raised_ = 0;                        ///< causes the bus was told of, a bit each
+  can::Reaction reaction_ = can::Reaction::report;  ///< what is being done about them
+  Time reaction_since_;
+  float damping_nm_s_rad_ = 0.0F;
+  bool knots_lost_ = false;
+  bool torque_target_lost_ = false;
+  bool torque_target_came_ = false;  ///< by RPDO, since the joint was enabled
+  Time torque_target_at_;
+  bool limit_switch_hit_ = false;
+  bool bus_off_ = false;
+  bool late_ = false;  ///< the loop stood still for too long
+  bool ticked_ = false;
   std::int64_t following_error_ticks_ = 0;
   std::int64_t following_error_limit_ticks_ = 0;
   float following_error_rad_ = 0.0F;
   BrakeSequence::Trouble brake_trouble_ = BrakeSequence::Trouble::none;
   bool torque_not_finite_ = false;
-  can::Emergency test_fault_ = can::Emergency::none;  ///< written to 2F00h
+  can::Fault test_fault_ = can::Fault::none;  ///< written to 2F00h
 };
 
 }  // namespace mrr::fw

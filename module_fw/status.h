@@ -4,6 +4,7 @@
 
 #include <cstdint>
 
+#include "can_protocol/faults.h"
 #include "can_protocol/object_dictionary.h"
 #include "common/core/time.h"
 
@@ -75,7 +76,8 @@ struct ModuleStatus {
   Time selection_executed_at;  ///< tick in which the last selection came into force
   Time blend_ended_at;         ///< tick in which the commanded torque first was the passive torque
 
-  can::Emergency fault = can::Emergency::none;  ///< first cause
+  can::Emergency fault = can::Emergency::none;  ///< first cause, by its code
+  can::Fault cause = can::Fault::none;          ///< ... by its row in the table
   Time fault_at;
   std::uint32_t knots_accepted = 0;
   std::uint32_t knots_missing = 0;

@@ -1,13 +1,16 @@
 #include "module_fw/actions/brake_sequence.h"
 
+#include "can_protocol/faults.h"
+
 namespace mrr::fw {
 
 namespace {
 
 // The stage's answer must agree for this many ticks in a row: one agreeing sample may be chance.
 constexpr std::uint8_t kTicksToConfirm = 5;
-// The contact of a real brake bounces; this much beyond its dwell it must have closed.
-constexpr Duration kFeedbackGrace = milliseconds(50);
+// The contact of a real brake bounces; so long beyond its dwell it must have switched.
+constexpr Duration kReleaseGrace = can::row_of(can::Fault::brake_not_released).time;
+constexpr Duration kEngageGrace = can::row_of(can::Fault::brake_not_engaged).time;
 // A joint that does not come to rest gets its brake all the same.
 constexpr Duration kStopTimeout = milliseconds(1000);
 
@@ -43,12 +46,12 @@ BrakeSequence::Trouble BrakeSequence::update(Time now, const Inputs& in) noexcep
         enter(Phase::engaging, now);
       } else if (elapsed >= config_.release && in.feedback_released) {
         enter(Phase::open, now);
-      } else if (elapsed > config_.release + kFeedbackGrace) {
+      } else if (elapsed > config_.release + kReleaseGrace) {
         return Trouble::not_released;
       }
       break;
     case Phase::open:
-      if (!in.wanted) enter(Phase::stopping, now);
+      if (!in.wanted) enter(in.at_rest ? Phase::engaging : Phase::stopping, now);
       break;
     case Phase::stopping:
       if (in.wanted) {
@@ -61,8 +64,10 @@ BrakeSequence::Trouble BrakeSequence::update(Time now, const Inputs& in) noexcep
       if (in.wanted) {
         confirmed_ticks_ = 0;
         enter(Phase::confirming, now);
-      } else if (elapsed >= config_.engage) {
+      } else if (elapsed >= config_.engage && !in.feedback_released) {
         enter(Phase::off, now);
+      } else if (elapsed > config_.engage + kEngageGrace) {
+        return Trouble::not_engaged;
       }
       break;
   }

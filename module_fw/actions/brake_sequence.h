@@ -10,11 +10,12 @@
 namespace mrr::fw {
 
 /// Up: power stage on, torque confirmed -> brake released -> dwell -> motion.
-/// Down: at rest -> brake engaged -> dwell -> torque off.
+/// Down: at rest -> brake engaged -> dwell, contact closed -> torque off. A brake that does not engage keeps the
+/// torque.
 class BrakeSequence {
  public:
   enum class Phase : std::uint8_t { off, confirming, releasing, open, stopping, engaging };
-  enum class Trouble : std::uint8_t { none, torque_not_confirmed, not_released };
+  enum class Trouble : std::uint8_t { none, torque_not_confirmed, not_released, not_engaged };
 
   explicit BrakeSequence(const BrakeConfig& config) noexcept : config_(config) {}
 
@@ -34,6 +35,8 @@ class BrakeSequence {
   [[nodiscard]] bool brake_release() const noexcept {
     return phase_ == Phase::releasing || phase_ == Phase::open || phase_ == Phase::stopping;
   }
+  /// Released, dwell over: torque moves the joint.
+  [[nodiscard]] bool brake_open() const noexcept { return phase_ == Phase::open || phase_ == Phase::stopping; }
   [[nodiscard]] bool motion_allowed() const noexcept { return phase_ == Phase::open; }
 
  private:

@@ -95,7 +95,7 @@ void Sensing::update(Time now, const RawSensors& raw) noexcept {
     }
   };
   seen_ |= fresh;
-  take(kFreshTorque, static_cast<float>(raw.torque_adc) * torque_scale_, config_.torque_timeout, joint_torque_,
+  take(kFreshTorque, static_cast<float>(raw.torque_adc) * torque_scale_ - torque_offset_nm_, config_.torque_timeout, joint_torque_,
        torque_at_);
   take(kFreshCurrent, static_cast<float>(raw.current_adc) * current_scale_, config_.current_timeout, current_,
        current_at_);

@@ -62,6 +62,11 @@ class Sensing {
   /// Readings thrown away because no joint moves like that.
   [[nodiscard]] std::uint32_t implausible_counts() const noexcept { return implausible_; }
 
+  /// Subtracted from the torque sensor, Nm.
+  void set_torque_offset(float offset_nm) noexcept { torque_offset_nm_ = offset_nm; }
+  /// In this tick the torque reading is not to be used.
+  void distrust_torque() noexcept { joint_torque_.valid = false; }
+
   /// Homing: from now on the joint reads `position_rad` here. Returns the change of the reading.
   float set_position(float position_rad) noexcept;
 
@@ -70,6 +75,7 @@ class Sensing {
   VelocityObserver observer_;
   float radians_per_count_;
   float torque_scale_;
+  float torque_offset_nm_ = 0.0F;
   float current_scale_;
   float max_counts_per_tick_;
   float dt_s_;

@@ -135,6 +135,7 @@ void Shell::run(const volatile int& stop) {
   Next next = pace == Pace::lockstep ? Next::lockstep : Next::clock;
   while (next != Next::done) next = next == Next::lockstep ? run_lockstep(stop) : run_on_clock(stop);
   allow_heap();
+  if (plant_) plant_->leave();
 }
 
 bool Shell::tick(Time now, const RawSensors& sensors, std::span<const can::ReceivedFrame> received,

@@ -2,7 +2,6 @@
 #include <limits>
 
 #include "can_protocol/client.h"
-#include "can_protocol/storage.h"
 #include "common/core/random.h"
 #include "node_fixture.h"
 
@@ -373,66 +372,6 @@ TEST_F(ClientTest, an_answer_to_an_earlier_question_is_not_taken_for_this_one) {
   EXPECT_TRUE(client.busy());
   client.handle(frame(0x580 + kId, {0x43, 0x00, 0x10, 0, 1, 2, 3, 4}), now, tx);
   EXPECT_EQ(client.value().as_unsigned(), 0x04030201U);
-}
-
-// ---- stored parameters ----
-
-TEST(Storage, keeps_what_is_marked_stored_and_nothing_else) {
-  ObjectDictionary od;
-  od.quick_stop_deceleration_mrad_s2 = 777;
-  od.module_name = {'h', 'i'};
-  od.controlword = 15;
-  std::array<std::uint8_t, kMaxParameterBytes> page{};
-  const std::size_t n = save_parameters(od, page);
-  ASSERT_GT(n, 0U);
-  ObjectDictionary other;
-  ASSERT_TRUE(load_parameters(other, std::span(page).first(n)));
-  EXPECT_EQ(other.quick_stop_deceleration_mrad_s2, 777U);
-  EXPECT_STREQ(other.module_name.data(), "hi");
-  EXPECT_EQ(other.controlword, 0);
-  EXPECT_EQ(save_parameters(od, std::span(page).first(page.size() - 1)), 0U) << "no room";
-}
-
-TEST(Storage, one_wrong_bit_or_a_missing_byte_loads_nothing) {
-  ObjectDictionary od;
-  od.quick_stop_deceleration_mrad_s2 = 777;
-  std::array<std::uint8_t, kMaxParameterBytes> page{};
-  const std::size_t n = save_parameters(od, page);
-  ObjectDictionary other;
-  for (std::size_t bit = 0; bit < 8 * n; bit += 3) {
-    page[bit / 8] ^= static_cast<std::uint8_t>(1U << (bit % 8));
-    EXPECT_FALSE(load_parameters(other, std::span(page).first(n)));
-    page[bit / 8] ^= static_cast<std::uint8_t>(1U << (bit % 8));
-  }
-  for (std::size_t k = 0; k < n; ++k) EXPECT_FALSE(load_parameters(other, std::span(page).first(k)));
-  EXPECT_EQ(other.quick_stop_deceleration_mrad_s2, 20000U);
-}
-
-TEST(Storage, a_value_out_of_its_range_loads_nothing_even_with_a_right_crc) {
-  std::vector<std::uint8_t> page(4 + 8 + 8);
-  put<std::uint32_t>(page.data(), kParametersMagic);
-  const auto record = [&](std::size_t at, std::uint16_t index, std::uint32_t value) {
-    put<std::uint16_t>(page.data() + at, index);
-    page[at + 3] = 4;
-    put<std::uint32_t>(page.data() + at + 4, value);
-  };
-  record(4, 0x6085, 500);
-  record(12, 0x2003, 10);  // knot period of 10 us
-  std::vector<std::uint8_t> whole = page;
-  whole.resize(24);
-  put<std::uint32_t>(whole.data() + 20, crc32(page));
-  ObjectDictionary od;
-  EXPECT_FALSE(load_parameters(od, whole));
-  EXPECT_EQ(od.quick_stop_deceleration_mrad_s2, 20000U);
-  put<std::uint32_t>(whole.data() + 16, 2000);
-  put<std::uint32_t>(whole.data() + 20, crc32(std::span(whole).first(20)));
-  EXPECT_TRUE(load_parameters(od, whole));
-  EXPECT_EQ(od.quick_stop_deceleration_mrad_s2, 500U);
-}
-
-TEST(Storage, crc_is_the_well_known_one) {
-  const std::array<std::uint8_t, 9> digits{'1', '2', '3', '4', '5', '6', '7', '8', '9'};
-  EXPECT_EQ(crc32(digits), 0xCBF43926U);
 }
 
 }  // namespace

@@ -407,8 +407,9 @@ TEST(Module, EverySensorThatFallsSilentOrGoesWildIsAFaultNotMotion) {
       {"hot stage", [](RawSensors& r) { r.drive_temperature_adc = 1000; }, Emergency::drive_over_temperature},
       {"voltage high", [](RawSensors& r) { r.bus_voltage_adc = 9000; }, Emergency::over_voltage},
       {"stage", [](RawSensors& r) { r.inputs |= kInputPowerStageFault; }, Emergency::power_stage},
-      {"encoder jumps", [n = 0](RawSensors& r) mutable { r.encoder_count += (++n % 2) * 2'000'000; }, Emergency::none},
-      {"encoder stuck far away", [](RawSensors& r) { r.encoder_count = 1'500'000'000; }, Emergency::encoder},
+      {"encoder jumps", [n = 0](RawSensors& r) mutable { r.encoder_count += (++n % 2) * 2'000'000; },
+       Emergency::encoder_jump},
+      {"encoder stuck far away", [](RawSensors& r) { r.encoder_count = 1'500'000'000; }, Emergency::encoder_jump},
   };
   for (const Case& c : cases) {
     ModuleBench b;
