@@ -126,6 +126,12 @@ std::span<const can::ReceivedFrame> PlantLink::robot_frames(can::CanSocket& robo
 
 void PlantLink::answer(const OwnTick& tick, const AnswerPayload& payload, bool leaving) noexcept {
   (void)socket_.send(encode(Answer{self_, tick.number, leaving, payload}));
+  if (leaving) left_ = true;
+}
+
+void PlantLink::leave() noexcept {
+  if (started_ && !left_) (void)socket_.send(encode(Answer{self_, 0, true, {}}));
+  left_ = true;
 }
 
 void PlantLink::advance_clock(Time own_now) noexcept {

@@ -79,6 +79,9 @@ class PlantLink {
   /// this participant.
   void answer(const OwnTick& tick, const AnswerPayload& payload, bool leaving = false) noexcept;
 
+  /// Leaves without a tick to answer, if the plant counts on this participant.
+  void leave() noexcept;
+
   /// The own clock went on without the plant and is now here: later ticks come after it.
   void advance_clock(Time own_now) noexcept;
 
@@ -102,6 +105,7 @@ class PlantLink {
   std::uint32_t block_number_ = 0;
   bool joined_ = false;
   bool started_ = false;
+  bool left_ = false;
   Time announced_{};
   Time own_now_{};
   Duration clock_shift_{};

@@ -140,12 +140,16 @@ void PlantHost::take(const can::ReceivedFrame& received) {
     return;
   }
   Participant& p = participants_[answer->from];
-  // Of an earlier tick, or of somebody who was dropped: it is too late.
-  if (!p.joined || (options_.lockstep && answer->number != number_)) return;
+  if (!p.joined) return;
+  if (answer->leaving) {
+    p.answered = true;
+    drop(answer->from, "leaves in order");
+    return;
+  }
+  if (options_.lockstep && answer->number != number_) return;  // of an earlier tick: too late
   p.answered = true;
   p.heard = received.at;
   p.payload = answer->payload;
-  if (answer->leaving) drop(answer->from, "leaves in order");
 }
 
 void PlantHost::receive(Duration timeout) {
@@ -351,7 +355,8 @@ rpc::Json PlantHost::truth_json() const {
                       {"passive", a.passive},
                       {"takes_part", participants_[i].joined}});
   }
-  return {{"time_s", now_.seconds()},
+  return {{"board", plant_.actual_description().board.name},
+          {"time_s", now_.seconds()},
           {"ticks", ticks_},
           {"pace", options_.lockstep ? "lockstep" : "realtime"},
           {"supervisor_takes_part", participants_[plant_io::kSupervisor].joined},
