@@ -126,6 +126,17 @@ class Wire:
         self.nmt(1)
         self.wait_state(5)
 
+    def switch_on_disabled(self):
+        """OPERATIONAL and in SWITCH ON DISABLED, a fault acknowledged on the way."""
+        self.operational()
+        self.write(0x6040, 0, 0, "H")
+        end = time.monotonic() + PATIENCE_S
+        while (word := self.read(0x6041)) & 0x4F != 0x40:
+            assert time.monotonic() < end, f"statusword {word:04X}"
+            self.write(0x6040, 0, 0x80 if word & 0x0F == 0x08 else 0, "H")
+            time.sleep(0.02)
+            self.write(0x6040, 0, 0, "H")
+
     def ask(self, request):
         """One SDO request as 8 bytes, its answer."""
         self.drain()
