@@ -137,7 +137,7 @@ def frames(programs):
         if received != sent:
             limit = "beyond that it loses frames"
             break
-        best = reached
+        best = max(best, reached)
         if reached < 0.9 * rate:
             limit = "this sender sends no faster"
             break
