@@ -240,9 +240,10 @@ void Blow::start(double t) noexcept {
   for (int i = 0; i < n_; ++i) {
     const JointDrive& d = arm_.drive[at(i)];
     Joint& j = joint_[at(i)];
-    j.motor_q = j.seen_q = q_[i];
+    j.motor_q = q_[i];
     j.motor_v = v_[i];
     j.seen_v = v_[i] * arm_.tick_s;
+    j.seen_q = j.motor_q - j.seen_v;
     j.carried = j.sensed = expected_[i];
     q_[i] -= spring_twist(d, expected_[i]);
     if (d.friction.static_nm > 0.0) {
