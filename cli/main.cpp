@@ -1,35 +1,63 @@
 // Room: cli. The `mrr` command: thin, may use everything.
 #include <fmt/format.h>
 
-#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <stdexcept>
 
-#include "cli/hammer.h"
+#include "can_protocol/socketcan/can_socket.h"
+#include "cli/app.h"
+#include "cli/exit_status.h"
+#include "cli/hammer_bus.h"
+#include "cli/robot_commands.h"
 #include "common/robot/errors.h"
+#include "common/rpc/message.h"
+
+namespace {
+
+/// One sentence on stderr.
+int complain(const std::exception& error, int status) {
+  fmt::print(stderr, "mrr: {}\n", error.what());
+  return status;
+}
+
+}  // namespace
 
 int main(int argc, char** argv) {
-  CLI::App app{"MRR: joints that survive the blow. Hammering with a modular reconfigurable robot."};
-  app.name("mrr");
-  app.require_subcommand(1);
-  app.set_version_flag("--version", MRR_VERSION);
-  app.footer("Exit status: 0 done within limits, 1 not done, 2 unusable input or plan, 3 defect.");
-  app.failure_message([](const CLI::App*, const CLI::Error& error) {
-    return fmt::format("mrr: {}; see mrr hammer --help\n", error.what());
+  using namespace mrr;
+  int status = cli::kExitDone;
+  const auto app = cli::make_app(status);
+  app->failure_message([](const CLI::App* root, const CLI::Error& error) {
+    std::string command = "mrr";
+    for (const CLI::App* used : root->get_subcommands()) command += " " + used->get_name();
+    return fmt::format("mrr: {}; see {} --help\n", error.what(), command);
   });
-  int status = mrr::cli::kExitDone;
-  mrr::cli::add_hammer_command(app, status);
+  const auto commands = cli::commands_of(*app);
+  const auto is_first = [&](const CLI::App* command) { return command->get_name() == argv[1]; };
+  if (argc > 1 && argv[1][0] != '-' && std::none_of(commands.begin(), commands.end(), is_first)) {
+    fmt::print(stderr, "mrr: there is no command '{}'; see mrr --help\n", argv[1]);
+    return cli::kExitUsage;
+  }
   try {
-    app.parse(argc, argv);
+    app->parse(argc, argv);
   } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? mrr::cli::kExitDone : mrr::cli::kExitUsage;
-  } catch (const mrr::DescriptionError& error) {
-    fmt::print(stderr, "mrr: {}\n", error.what());
-    return mrr::cli::kExitUsage;
-  } catch (const mrr::PlanError& error) {
-    fmt::print(stderr, "mrr: {}\n", error.what());
-    return mrr::cli::kExitUsage;
+    return app->exit(error) == 0 ? cli::kExitDone : cli::kExitUsage;
+  } catch (const DescriptionError& error) {
+    return complain(error, cli::kExitUsage);
+  } catch (const PlanError& error) {
+    return complain(error, cli::kExitUsage);
+  } catch (const cli::Interrupted& error) {
+    return complain(error, cli::kExitInterrupted);
+  } catch (const std::invalid_argument& error) {
+    return complain(error, cli::kExitUsage);
+  } catch (const rpc::Error& error) {
+    return complain(error, cli::exit_status_of(error));
+  } catch (const rpc::ConnectionError& error) {
+    return complain(error, cli::kExitNotDone);
+  } catch (const can::CanError& error) {
+    return complain(error, cli::kExitNotDone);
   } catch (const std::exception& error) {
     fmt::print(stderr, "mrr: internal error: {}\n", error.what());
-    return mrr::cli::kExitInternal;
+    return cli::kExitInternal;
   }
   return status;
 }

@@ -1,18 +1,19 @@
-// Room: cli. What a person reads in an 80-column terminal.
+// Room: cli. What a person reads in an 80-column terminal, from the result that programs read.
 #pragma once
 
+#include <nlohmann/json.hpp>
 #include <string>
 
-#include "sim_vcan/world/hammer_job.h"
+#include "common/robot/robot.h"
 
 namespace mrr::cli {
 
-/// Pose, speed, loads free and held, limits, who goes passive and why.
-std::string plan_text(const RobotDescription& robot, const sup::StrikePlan& plan);
-/// Header of the table of swings, and one swing.
-std::string swing_header();
-std::string swing_text(const RobotDescription& robot, const sup::SwingReport& swing, const sim::SwingTruth& truth);
-std::string verdict_text(const RobotDescription& robot, const sim::HammerJobResult& result, double realtime_factor);
+/// Pose, speed, loads free and held, limits, who goes passive and why. `plan`: of docs/result.schema.json.
+[[nodiscard]] std::string plan_text(const nlohmann::ordered_json& plan);
+/// Header of the table of swings, and one swing. `truth_known`: somebody could be asked what really happened.
+[[nodiscard]] std::string swing_header(bool truth_known);
+[[nodiscard]] std::string swing_text(const nlohmann::ordered_json& swing);
+[[nodiscard]] std::string verdict_text(const RobotDescription& robot, const nlohmann::ordered_json& result);
 
 /// A line that is redrawn on a terminal, and nothing at all in a pipe.
 class ProgressBar {
@@ -24,6 +25,7 @@ class ProgressBar {
   /// `done`: share, 0 .. 1.
   void update(const std::string& what, double done);
   void clear();
+  [[nodiscard]] bool terminal() const noexcept { return terminal_; }
 
  private:
   bool terminal_;

@@ -270,7 +270,8 @@ struct Server::State {
     if (!on) return Json::object();
     Json names = Json::array();
     for (const std::string& name : current->topics) names.push_back(name);
-    return {{"events", names.empty() ? Json("all") : names}};
+    if (names.empty()) names.push_back("all");
+    return {{"events", names}};
   }
 };
 

@@ -9,29 +9,21 @@
 
 namespace mrr::sim {
 
-namespace {
-
-void judge(const RobotDescription& robot, HammerJobResult& result) {
-  for (std::size_t k = 0; k < result.truth.size(); ++k) {
-    for (std::size_t i = 0; i < result.truth[k].joints.size(); ++i) {
-      const JointBlow& joint = result.truth[k].joints[i];
+std::string broken_limit(const RobotDescription& robot, std::span<const SwingTruth> swings) {
+  for (std::size_t k = 0; k < swings.size(); ++k) {
+    for (std::size_t i = 0; i < swings[k].joints.size(); ++i) {
+      const JointBlow& joint = swings[k].joints[i];
       const JointDescription& description = robot.joints[i];
-      std::string note;
       if (joint.peak_torque_swing_nm > description.transmission.repeated_peak_nm) {
-        note = fmt::format("swing {}: {} carried {:.1f} Nm, above its repeated peak of {:.1f} Nm", k + 1,
+        return fmt::format("swing {}: {} carried {:.1f} Nm, above its repeated peak of {:.1f} Nm", k + 1,
                            description.name, joint.peak_torque_swing_nm, description.transmission.repeated_peak_nm);
-      } else if (joint.passive && result.truth[k].hit && !(joint.switch_lead_s > 0.0)) {
-        note = fmt::format("swing {}: {} was not passive before contact", k + 1, description.name);
       }
-      if (!note.empty() && result.within_limits) {
-        result.within_limits = false;
-        result.limit_note = note;
-      }
+      if (joint.passive && swings[k].hit && !(joint.switch_lead_s > 0.0))
+        return fmt::format("swing {}: {} was not passive before contact", k + 1, description.name);
     }
   }
+  return {};
 }
-
-}  // namespace
 
 HammerJobResult run_hammer_job(const RobotDescription& robot, const PlantDescription& plant,
                                const HammerJobOptions& options, CandumpWriter* frames, Telemetry* telemetry,
@@ -92,7 +84,8 @@ HammerJobResult run_hammer_job(const RobotDescription& robot, const PlantDescrip
   result.simulated_s = world.now().seconds();
   result.bus_load = world.bus().statistics().load();
   result.bus_load_worst_case = sup::bus_budget(robot).load;
-  judge(robot, result);
+  result.limit_note = broken_limit(robot, result.truth);
+  result.within_limits = result.limit_note.empty();
   return result;
 }
 

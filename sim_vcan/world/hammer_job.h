@@ -3,6 +3,7 @@
 #pragma once
 
 #include <functional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -39,6 +40,10 @@ struct HammerJobResult {
     return verdict == sup::Verdict::flush && really_flush && within_limits;
   }
 };
+
+/// The first limit that was broken, one sentence without full stop; empty: no transmission above its repeated peak,
+/// every planned joint passive before contact.
+[[nodiscard]] std::string broken_limit(const RobotDescription& robot, std::span<const SwingTruth> swings);
 
 /// Called now and then: simulated time, swings done, the nail's real height.
 using Progress = std::function<void(double simulated_s, int swings, double nail_height_m)>;

@@ -8,7 +8,8 @@ import subprocess
 
 import pytest
 
-OPTIONS = ("--help", "--robot", "--board", "--seed", "--out", "--swings", "--mode", "--as-printed", "--experiment", "--json", "--no-report")
+OPTIONS = ("--help", "--robot", "--board", "--seed", "--out", "--swings", "--mode", "--as-printed", "--experiment", "--json", "--no-report", "--bus", "--socket",
+           "--plant-socket")
 DOCUMENTED = ("flush", "verdict", "reason", "nail_height_mm", "realtime_factor", "within_limits", "plan", "swings")
 
 
@@ -95,7 +96,7 @@ def test_progress_is_drawn_on_a_terminal_and_wiped_again(program, tmp_path):
 def test_help_mentions_every_option_and_the_exit_statuses(program):
     done = subprocess.run([program("cli/mrr"), "hammer", "--help"], capture_output=True, text=True)
     assert done.returncode == 0
-    listed = set(re.findall(r"^\s+(?:-\w,)?(--[a-z-]+)", done.stdout, flags=re.MULTILINE))
+    listed = set(re.findall(r"^\s+(?:-\w, )?(--[a-z-]+)", done.stdout, flags=re.MULTILINE))
     assert listed == set(OPTIONS)
     assert "Exit status" in done.stdout
     overview = subprocess.run([program("cli/mrr"), "--help"], capture_output=True, text=True)
