@@ -182,8 +182,15 @@ Prediction predict(const StrikeArm& arm, const PredictInput& input, PredictionMo
         JointVector::Zero(arm.chain.dof());
     return none;
   }
-  if (model == PredictionModel::resolved) return resolve_blow(arm, input);
-  return finite_time_blow(arm, input, model == PredictionModel::finite_time);
+  switch (model) {
+    case PredictionModel::instant:
+      break;
+    case PredictionModel::finite_time:
+      return finite_time_blow(arm, input);
+    case PredictionModel::resolved:
+      return resolve_blow(arm, input);
+  }
+  return instant_blow(arm, input);
 }
 
 }  // namespace mrr::sup
