@@ -631,15 +631,16 @@ void Supervisor::advance_homing() noexcept {
   activity_ = Activity::bringing_up;
   switch (node.homing()) {
     case HomingState::attained:
-      end_command(CommandFailure::none);
+      end_command_of(CommandKind::home, CommandFailure::none);
       break;
     case HomingState::failed:
-      end_command(CommandFailure::homing_failed);
+      end_command_of(CommandKind::home, CommandFailure::homing_failed);
       break;
     case HomingState::none:
     case HomingState::running:
     case HomingState::aborted:
-      end_command(now_ - activity_since_ > limit ? CommandFailure::timed_out : CommandFailure::stopped);
+      end_command_of(CommandKind::home,
+                     now_ - activity_since_ > limit ? CommandFailure::timed_out : CommandFailure::stopped);
       break;
   }
 }
@@ -660,6 +661,11 @@ void Supervisor::end_command(CommandFailure failure) noexcept {
   command_status_.state = failure == CommandFailure::none ? CommandState::done : CommandState::failed;
   command_status_.failure = failure;
   emit(EventKind::command_ended, command_status_.joint, command_status_.number, static_cast<std::uint32_t>(failure));
+}
+
+// Another command may have come meanwhile: it does not end with what went on before.
+void Supervisor::end_command_of(CommandKind kind, CommandFailure failure) noexcept {
+  if (command_status_.kind == kind) end_command(failure);
 }
 
 void Supervisor::advance_command() noexcept {
@@ -859,7 +865,7 @@ void Supervisor::advance_activity() noexcept {
     const std::uint32_t except = may_be_passive ? program_.passive : 0U;
     astray_cycles_ = all_follow(except) && (detached_ & ~except) == 0 ? 0 : astray_cycles_ + 1;
     if (astray_cycles_ >= kAstrayCycles && activity_ == Activity::moving) {
-      end_command(CommandFailure::not_following);
+      end_command_of(CommandKind::move, CommandFailure::not_following);
       begin_motion(stopping_motion(), Activity::stopping);
     } else if (astray_cycles_ >= kAstrayCycles) {
       abort_swing(AbortReason::not_following);
@@ -875,7 +881,7 @@ void Supervisor::advance_activity() noexcept {
       if (motion_ended()) {
         activity_ = Activity::holding;
         emit(EventKind::motion_ended);
-        end_command(CommandFailure::none);
+        end_command_of(CommandKind::move, CommandFailure::none);
       }
       break;
     case Activity::homing:

@@ -232,6 +232,7 @@ class Supervisor final : public RobotPort {
   void disable_if_asked() noexcept;
   void begin_command(CommandKind kind, int joint = -1) noexcept;
   void end_command(CommandFailure failure) noexcept;
+  void end_command_of(CommandKind kind, CommandFailure failure) noexcept;
   void advance_command() noexcept;
   void advance_homing() noexcept;
   void advance_let_go() noexcept;

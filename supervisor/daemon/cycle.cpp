@@ -40,6 +40,7 @@ Answer Cycle::handle(const Request& request) noexcept {
       supervisor_.enable(true);
       break;
     case RequestKind::disable:
+      supervisor_.enable(false);
       break;
     case RequestKind::stop:
       supervisor_.stop();

@@ -33,7 +33,7 @@ class Rpc:
     def answer(self):
         while True:
             message = json.loads(self.file.readline())
-            if message.get("method") != "event":
+            if not isinstance(message, dict) or message.get("method") != "event":
                 return message
             self.events.append(message["params"])
 
@@ -287,7 +287,7 @@ def test_real_time_without_modules_counts_cycles_and_reports_a_bus_that_goes_dow
     supervisor = fresh_robot.start(SUPERVISOR, "--robot", ROBOT, "--can", "vcan0", "--socket", path)
     wait_until(path.exists, what="the supervisor's socket")
     rpc = Rpc(path)
-    first = rpc.get("status")
+    first = rpc.wait(lambda s: s["clock"]["cycles"] > 0)
     time.sleep(1)
     second = rpc.get("status")
     made = second["clock"]["cycles"] + second["clock"]["missed"] - first["clock"]["cycles"] - first["clock"]["missed"]
