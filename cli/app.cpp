@@ -9,6 +9,7 @@
 #include "cli/exit_status.h"
 #include "cli/hammer.h"
 #include "cli/man.h"
+#include "cli/plan_commands.h"
 #include "cli/robot_commands.h"
 #include "cli/text.h"
 
@@ -24,6 +25,9 @@ std::unique_ptr<CLI::App> make_app(int& status) {
   app->set_version_flag("--version", MRR_VERSION, "Print the version");
   app->set_help_flag("-h,--help", "Print this help");
   add_hammer_command(*app, status);
+  add_plan_command(*app, status);
+  add_predict_command(*app, status);
+  add_map_command(*app, status);
   add_robot_commands(*app, status);
   add_doctor_command(*app, status);
   add_completion_command(*app, status);

@@ -74,6 +74,11 @@ Json plan_json(const RobotDescription& robot, const StrikePlan& plan) {
                      {"tilt_rad", number(pose.tilt_rad)},
                      {"speed_m_s", number(pose.speed_m_s)},
                      {"measure", number(pose.measure)},
+                     {"passive", pose.passive},
+                     {"load_share", list(pose.load_share)},
+                     {"impulse_n_s", number(pose.impulse_n_s)},
+                     {"back_swing_rad", number(pose.back_swing_rad)},
+                     {"swing_s", number(pose.swing_s)},
                      {"feasible", pose.feasible},
                      {"note", pose.note}});
   }

@@ -958,67 +958,129 @@ PredictInput predict_input(const StrikePlan& plan, const ContactLaw& contact) no
   return in;
 }
 
+namespace {
+
+constexpr std::size_t kPosesShown = 8;
+constexpr std::size_t kSelectionsShown = 8;
+constexpr std::size_t kJointsALine = 8;
+
+const char* name_of(ModeDecision decision) {
+  switch (decision) {
+    case ModeDecision::active:
+      return "active";
+    case ModeDecision::passive:
+      return "passive";
+    case ModeDecision::refuse:
+      return "refuse";
+  }
+  return "";
+}
+
+/// "APA": joint 1 first, A active, P passive.
+std::string letters(std::uint32_t passive, int n) {
+  std::string text;
+  for (int i = 0; i < n; ++i) text += (passive >> i & 1U) != 0 ? 'P' : 'A';
+  return text;
+}
+
+/// Numbers of all joints in columns, continued on lines of their own.
+std::string columns_of(const std::string& label, const JointVector& values, double factor, int digits) {
+  std::string text;
+  for (Eigen::Index i = 0; i < values.size(); ++i) {
+    if (static_cast<std::size_t>(i) % kJointsALine == 0)
+      text += fmt::format("{}{:<14}", i == 0 ? "     " : "\n     ", i == 0 ? label : "");
+    const double value = factor * values[i];
+    const double shown = std::abs(value) < 0.5 * std::pow(10.0, -digits) ? 0.0 : value;  // no "-0.000"
+    text += fmt::format("{:>7.{}f}", shown, digits);
+  }
+  return text + "\n";
+}
+
+}  // namespace
+
+const char* unit_of(StrikeMeasure measure) noexcept {
+  switch (measure) {
+    case StrikeMeasure::load_ratio:
+      return "1/(N s)";
+    case StrikeMeasure::internal_impact:
+      return "(no unit)";
+    case StrikeMeasure::effective_mass:
+      return "kg";
+  }
+  return "";
+}
+
+const char* describe(StrikeMeasure measure) noexcept {
+  switch (measure) {
+    case StrikeMeasure::load_ratio:
+      return "largest load over rated per N s; least is best";
+    case StrikeMeasure::internal_impact:
+      return "internal impact measure (55); most is best";
+    case StrikeMeasure::effective_mass:
+      return "effective mass; most is best";
+  }
+  return "";
+}
+
 std::string report(const RobotDescription& robot, const StrikePlan& plan) {
   const int n = robot.dof();
-  const auto list = [](const JointVector& v, double factor) {
-    std::string text;
-    for (Eigen::Index i = 0; i < v.size(); ++i) text += fmt::format("{}{:.4f}", i == 0 ? "" : " ", factor * v[i]);
-    return text;
-  };
-  const auto measure_name = [&] {
-    switch (plan.measure) {
-      case StrikeMeasure::load_ratio:
-        return "load/rated per N s, least is best";
-      case StrikeMeasure::internal_impact:
-        return "internal impact measure (55), most is best";
-      case StrikeMeasure::effective_mass:
-        return "effective mass (kg), most is best";
+  std::string text = plan.why + "\n\n";
+  text += fmt::format("Poses, best first ({})\n", describe(plan.measure));
+  text += fmt::format("  #  {:>10}  speed m/s  blow N s  back-swing rad  swing s  S (P passive)\n",
+                      fmt::format("{}", unit_of(plan.measure)));
+  std::size_t shown = 0;
+  for (const PoseCandidate& c : plan.poses) {
+    if (++shown > kPosesShown) break;
+    if (c.feasible) {
+      text += fmt::format("{:>3}  {:>10.4g}  {:>9.3f}  {:>8.2f}  {:>14.2f}  {:>7.2f}  {}\n", shown, c.measure,
+                          c.speed_m_s, c.impulse_n_s, c.back_swing_rad, c.swing_s, letters(c.passive, n));
+    } else {
+      text += fmt::format("{:>3}  not feasible\n", shown);
     }
-    return "";
-  };
-  const auto decision_name = [](ModeDecision d) {
-    switch (d) {
-      case ModeDecision::active:
-        return "active";
-      case ModeDecision::passive:
-        return "passive";
-      case ModeDecision::refuse:
-        return "refuse";
-    }
-    return "";
-  };
-  std::string text = plan.why + "\n";
-  text += fmt::format("  impact      q [{}] rad, q' [{}] rad/s\n", list(plan.q_impact, 1.0), list(plan.qd_impact, 1.0));
+    text += columns_of("q, rad", c.q, 1.0, 3);
+    if (c.feasible) text += columns_of("load/rated, %", c.load_share, 100.0, 0);
+    text += "     " + c.note + "\n";
+  }
+  if (plan.poses.size() > kPosesShown) text += fmt::format("     and {} more\n", plan.poses.size() - kPosesShown);
+
+  text += "\nJoints of the chosen blow\n";
   text +=
-      fmt::format("  face        {:.3f} m/s along the nail, {:.3f} sideways, tilt {:.2f} deg, {:.2f} mm off centre\n",
-                  plan.speed_m_s, plan.lateral_speed_m_s, plan.tilt_rad * kDegrees, 1e3 * plan.lateral_m);
-  text += fmt::format("  blow        {:.3f} N s, effective mass {:.2f} kg; measure {:.4g} ({})\n", plan.impulse_n_s,
-                      plan.effective_mass_kg, plan.measure_value, measure_name());
-  text += fmt::format(
-      "  motion      back-swing {:.3f} rad, contact after {:.0f} ms, switch after {:.0f} ms, passive at most {:.0f} "
-      "ms\n",
-      plan.back_swing_rad, 1e3 * plan.contact_time.seconds(), 1e3 * plan.switch_time.seconds(),
-      1e3 * plan.passive_time.seconds());
-  text += fmt::format("  follow      {:.1f} mm past the head{}{}\n", 1e3 * plan.follow_through_m,
-                      plan.follow_through_note.empty() ? "" : ": ", plan.follow_through_note);
-  text += "  loads, N m s  free    held    planned rated   repeated table    planned\n";
+      "               q'     limit   axis impulse, N m s, if           limits           at\n"
+      "               rad/s  rad/s   free    held    as planned  rated   rep.peak   impact\n";
   for (int i = 0; i < n; ++i) {
     const JointLoad& load = plan.loads[at(i)];
-    text += fmt::format("  {:<11} {:<7.4f} {:<7.4f} {:<7.4f} {:<7.4f} {:<8.4f} {:<8} {}\n", robot.joints[at(i)].name,
-                        load.free_nm_s, load.held_nm_s, load.planned_nm_s, load.limits.rated_nm_s,
-                        load.limits.repeated_nm_s, decision_name(load.decision),
-                        (plan.passive >> i & 1U) != 0 ? "passive" : "active");
+    const bool passive = (plan.passive >> i & 1U) != 0;
+    text += fmt::format(
+        "  {:<10} {:>7.3f}  {:>6.3f}  {:>6.3f}  {:>6.3f}     {:>6.3f}  {:>6.3f}    {:>6.3f}   {}\n",
+        robot.joints[at(i)].name, plan.qd_impact[i], load.qd_limit_rad_s, load.free_nm_s, load.held_nm_s,
+        load.planned_nm_s, load.limits.rated_nm_s, load.limits.repeated_nm_s,
+        passive ? "passive" : name_of(load.decision == ModeDecision::passive ? ModeDecision::active : load.decision));
   }
-  text += "  selections\n";
+  text += fmt::format("\nSelections weighed: {}\n", plan.selections_weighed);
+  shown = 0;
   for (const SelectionCandidate& c : plan.selections) {
-    text += fmt::format("    passive {:<24} {:.4f} per N s, {:.3f} N s: {}\n", names(robot, c.passive),
-                        c.load_ratio_per_n_s, c.impulse_n_s, c.note);
+    if (++shown > kSelectionsShown) break;
+    text += fmt::format("  {}  {:.4f} 1/(N s), {:.2f} N s: {}\n", letters(c.passive, n), c.load_ratio_per_n_s,
+                        c.impulse_n_s, c.note);
   }
-  text += "  poses\n";
-  for (const PoseCandidate& c : plan.poses) {
-    text += fmt::format("    q [{}] measure {:.4g}, {:.3f} m/s, tilt {:.2f} deg, passive {}: {}\n", list(c.q, 1.0),
-                        c.measure, c.speed_m_s, c.tilt_rad * kDegrees, names(robot, c.passive), c.note);
+  if (plan.selections_weighed > static_cast<int>(kSelectionsShown)) {
+    text += fmt::format("  and {} more\n", plan.selections_weighed - static_cast<int>(kSelectionsShown));
   }
+  text += "\nMotion\n";
+  text += fmt::format("  approach   {:.2f} s to the back-swing\n", plan.approach.duration().seconds());
+  text += fmt::format("  swing      {:.2f} rad back, contact after {:.0f} ms, {}\n", plan.back_swing_rad,
+                      1e3 * plan.contact_time.seconds(),
+                      plan.passive == 0 ? std::string("nothing switches")
+                                        : fmt::format("switch {:.0f} ms before it, passive at most {:.0f} ms",
+                                                      1e3 * (plan.contact_time - plan.switch_time).seconds(),
+                                                      1e3 * plan.passive_time.seconds()));
+  text += fmt::format(
+      "  face       {:.3f} m/s along the nail, {:.3f} m/s sideways, tilt {:.2f} deg, {:.2f} mm off centre\n",
+      plan.speed_m_s, plan.lateral_speed_m_s, plan.tilt_rad * kDegrees, 1e3 * plan.lateral_m);
+  text += fmt::format("  blow       {:.2f} N s, effective mass {:.2f} kg\n", plan.impulse_n_s, plan.effective_mass_kg);
+  text += fmt::format("  follow     {:.1f} mm past the head{}{}\n", 1e3 * plan.follow_through_m,
+                      plan.follow_through_note.empty() ? "" : ": ", plan.follow_through_note);
+  text += fmt::format("  return     {:.2f} s\n", (plan.strike.duration() - plan.stop_time).seconds());
   return text;
 }
 

@@ -150,7 +150,10 @@ struct StrikePlan {
 /// A planned blow as the prediction models take it.
 [[nodiscard]] PredictInput predict_input(const StrikePlan& plan, const ContactLaw& contact) noexcept;
 
-/// The plan as text for a terminal: every number above, several lines.
+[[nodiscard]] const char* describe(StrikeMeasure measure) noexcept;
+[[nodiscard]] const char* unit_of(StrikeMeasure measure) noexcept;
+
+/// The plan as text for a terminal: poses ranked, joints, selections, motion; units in every table.
 [[nodiscard]] std::string report(const RobotDescription& robot, const StrikePlan& plan);
 
 }  // namespace mrr::sup
