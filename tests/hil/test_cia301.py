@@ -232,7 +232,7 @@ def test_nothing_changes_before_the_last_segment(wire):
     pytest.param(0x6040, 0, bytes(9), TOO_LONG, id="too long, segmented"),
     pytest.param(0x6060, 0, b"\x03", VALUE, id="not one of the values"),
     pytest.param(0x6060, 0, b"\x0b", HIGH, id="above"),
-    pytest.param(0x6060, 0, b"\xfe", LOW, id="below"),
+    pytest.param(0x6060, 0, b"\x80", LOW, id="below"),
     pytest.param(0x2110, 2, struct.pack("<f", 0.11), HIGH, id="real above"),
     pytest.param(0x2110, 2, struct.pack("<f", -0.01), LOW, id="real below"),
     pytest.param(0x2110, 2, struct.pack("<f", float("nan")), VALUE, id="not a number"),
