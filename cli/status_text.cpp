@@ -234,7 +234,7 @@ std::string monitor_text(const Json& hello, const Json& status, const TorqueHist
   std::string out = fmt::format("{}, {}{}, {} s\n", text(hello.at("robot"), "name"), text(status, "activity"),
                                 flag(status, "ready") ? ", ready" : "", figure(number(status, "time_s"), 1));
   out += fmt::format("  {:<10} {:<8} {:>8} {:<{}} {:>7} {}\n", "joint", "mode", "deg", "  within its limits", bar + 2,
-                     "Nm", "largest seen = full height");
+                     "Nm", "recent torque");
   const Json& limits = hello.at("robot").at("joints");
   const Json& joints = status.at("joints");
   for (std::size_t i = 0; i < joints.size(); ++i) {
