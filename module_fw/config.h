@@ -120,6 +120,8 @@ struct HomingConfig {
   float fast_rad_s = 0.2F;
   float slow_rad_s = 0.02F;
   Duration timeout = milliseconds(30'000);
+  float max_travel_rad = 0.0F;  ///< 0: not capped
+  float max_torque_nm = 0.0F;   ///< beyond what the joint carries; 0: not capped
 };
 
 struct BrakeConfig {

@@ -16,11 +16,14 @@ using can::Reaction;
 
 constexpr Duration kSensorStart = milliseconds(1000);  // by then every sensor must have spoken
 constexpr float kPositionSlack = 0.01F;                // rad beyond a soft limit before the joint is stopped for it
-constexpr float kStill = 1e-3F;                        // rad/s: slower is not moving towards a limit
-constexpr float kConfirmShare = 0.05F;                 // of full-scale current: agreement that confirms torque
-constexpr float kMaxCompensationShare = 0.95F;         // of the Coulomb friction: the passive law must not drive
-constexpr float kHoldLeash = 0.8F;  // of the resynchronisation window: a held joint can always be taken over again
-constexpr float kDamped = 0.05F;    // rad/s: slow enough for the brake when damping
+constexpr float kCreep = 0.01F;                        // rad/s
+constexpr float kOutward = 0.05F;               // rad/s: moves away from its limits, whatever the noise of the velocity
+constexpr float kStill = 1e-3F;                 // rad/s: slower is not moving towards a limit
+constexpr float kConfirmShare = 0.05F;          // of full-scale current: agreement that confirms torque
+constexpr float kMaxCompensationShare = 0.95F;  // of the Coulomb friction: the passive law must not drive
+constexpr float kHoldLeash = 0.8F;       // of the resynchronisation window: a held joint can always be taken over again
+constexpr float kBrakeTestShare = 1.5F;  // of the rated torque
+constexpr float kDamped = 0.05F;         // rad/s: slow enough for the brake when damping
 constexpr Duration kDampTime = milliseconds(150);  // ... which closes then at the latest
 constexpr std::uint32_t kNotWatched = 0xFFFF'FFFFU;
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
@@ -171,6 +174,8 @@ void Module::fill_objects() noexcept {
   od_.watchdog_sync_ms = static_cast<std::uint16_t>(to_ms(c.watchdog.sync));
   od_.homing_switch_position_urad = micro_rad(c.homing.switch_position_rad);
   od_.homing_timeout_ms = to_ms(c.homing.timeout);
+  od_.homing_max_travel_urad = micro(c.homing.max_travel_rad);
+  od_.homing_max_torque_nm = c.homing.max_torque_nm;
   od_.homing_speed_switch_urad_s = micro(c.homing.fast_rad_s);
   od_.homing_speed_zero_urad_s = micro(c.homing.slow_rad_s);
   od_.brake_release_ms = static_cast<std::uint16_t>(to_ms(c.brake.release));
@@ -225,6 +230,8 @@ void Module::apply_parameters() noexcept {
   c.homing.fast_rad_s = static_cast<float>(od_.homing_speed_switch_urad_s) * 1e-6F;
   c.homing.slow_rad_s = static_cast<float>(od_.homing_speed_zero_urad_s) * 1e-6F;
   c.homing.timeout = milliseconds(od_.homing_timeout_ms);
+  c.homing.max_travel_rad = static_cast<float>(od_.homing_max_travel_urad) * 1e-6F;
+  c.homing.max_torque_nm = od_.homing_max_torque_nm;
   c.selection_bit = od_.selection_bit;
   const Duration knot_period = microseconds(od_.knot_period_us);
   const bool new_period = knot_period != c.knot_period;
@@ -377,8 +384,8 @@ void Module::sync(Time at, std::optional<std::uint8_t> counter) noexcept {
 }
 
 void Module::offer_knot(const Knot& knot, Duration period) noexcept {
-  if (!(authority_ == Authority::motion && mode_ == Mode::cyclic_position && selector_.law() == Law::active &&
-        brake_.motion_allowed() && status_.homed && pll_.locked())) {
+  if (!(permits(situation(), Request::set_points) && authority_ == Authority::motion &&
+        mode_ == Mode::cyclic_position && status_.homed && pll_.locked())) {
     return;
   }
   switch (reference_.offer(knot, pll_.sync_time(), period, sensing_.position_rad())) {
@@ -454,9 +461,22 @@ void Module::heartbeat_seen(std::uint8_t node_id, can::NmtState, Time) noexcept 
 
 // ---------------------------------------------------------------------------------------------- decision
 
+Situation Module::situation() const noexcept {
+  const DriveState s = machine_.state();
+  if (s == DriveState::fault) return Situation::fault;
+  if (s == DriveState::fault_reaction_active) return Situation::fault_reaction;
+  if (s != DriveState::operation_enabled && s != DriveState::quick_stop_active) return Situation::disabled;
+  if (calibrating()) return Situation::calibration;
+  if (!brake_.motion_allowed()) return Situation::starting;
+  if (authority_ == Authority::limit) return Situation::limit;
+  if (authority_ == Authority::user_stop) return Situation::user_stop;
+  if (homing_.running()) return Situation::homing;
+  return passive() ? Situation::passive : Situation::motion;
+}
+
 bool Module::may_change_law() const noexcept {
-  return machine_.state() == DriveState::operation_enabled && mode_ == Mode::cyclic_position &&
-         authority_ == Authority::motion && brake_.motion_allowed() && status_.homed;
+  return permits(situation(), Request::selection) && mode_ == Mode::cyclic_position &&
+         authority_ == Authority::motion && status_.homed;
 }
 
 // A cause that is new: the bus is told; of those that end in FAULT the first is kept with a picture of the joint.
@@ -613,8 +633,8 @@ void Module::find_faults(Time now, const RawSensors& sensors) noexcept {
                 !(absolute(v) <= can::row_of(Fault::over_speed).threshold * c.limits.velocity_rad_s));
   const float q = sensing_.position_rad();
   const float beyond = can::row_of(Fault::position_limit).threshold;
-  faults_.check(Fault::position_limit, status_.homed && ((q > c.limits.upper_rad + beyond && v > kStill) ||
-                                                         (q < c.limits.lower_rad - beyond && v < -kStill)));
+  faults_.check(Fault::position_limit, status_.homed && ((q > c.limits.upper_rad + beyond && v > kOutward) ||
+                                                         (q < c.limits.lower_rad - beyond && v < -kOutward)));
   faults_.check(Fault::brake_closed, brake_.brake_open() && !sensing_.input(kInputBrakeReleased));
   if (enabled && selector_.law() == Law::active && brake_.motion_allowed() && !torque_mode() &&
       !selector_.catching_up()) {
@@ -712,6 +732,7 @@ Authority Module::arbitrate() const noexcept {
   if (limit_stop_ && (mode_ == Mode::cyclic_torque || !reference_.at_rest())) return Authority::limit;
   if (machine_.state() == DriveState::quick_stop_active || (od_.controlword & kControlHalt) != 0)
     return Authority::user_stop;
+  if (calibration_mode()) return Authority::calibration;
   if (mode_ == Mode::homing) return Authority::homing;
   return Authority::motion;
 }
@@ -724,7 +745,9 @@ void Module::stop_and_hold(float deceleration_rad_s2) noexcept {
 void Module::stop_at_limit(LimitCode why) noexcept {
   limit_stop_ = true;
   hold_reason_ = why;
-  stop_and_hold(config_.reference.stop_deceleration_rad_s2);
+  // A halt on the way slows down harder already.
+  stop_and_hold(authority_ == Authority::user_stop ? config_.reference.quick_stop_deceleration_rad_s2
+                                                   : config_.reference.stop_deceleration_rad_s2);
 }
 
 void Module::go_passive(Time now) noexcept {
@@ -755,6 +778,15 @@ PassiveLaw::Evidence Module::evidence() const noexcept {
 void Module::follow_mode(Time now) noexcept {
   const std::int8_t requested = od_.modes_of_operation;
   if (requested == last_requested_mode_ && mode_ != Mode::none) return;
+  // What has the joint goes on; the mode asked for waits until it has ended.
+  const Situation s = situation();
+  const auto wanted = static_cast<Mode>(requested);
+  const Request request = wanted == Mode::homing           ? Request::homing
+                          : wanted <= Mode::identification ? Request::calibration
+                                                           : Request::set_points;
+  const bool busy =
+      s == Situation::homing || s == Situation::calibration || (s == Situation::limit && !reference_.at_rest());
+  if (busy && wanted != mode_ && !permits(s, request)) return;
   const std::int8_t previous = last_requested_mode_;
   last_requested_mode_ = requested;
   constexpr auto kPassiveMode = static_cast<std::int8_t>(Mode::passive);
@@ -774,6 +806,9 @@ void Module::follow_mode(Time now) noexcept {
 
 // Who leads; what changes when that changes; the law that is due.
 void Module::lead(Time now) noexcept {
+  const bool start = (od_.controlword & kControlHomingStart) != 0;
+  start_edge_ = start && !homing_start_bit_;
+  homing_start_bit_ = start;
   follow_mode(now);
   const Authority before = authority_;
   if (limit_stop_ && mode_ != Mode::cyclic_torque && reference_.at_rest()) limit_stop_ = false;
@@ -799,6 +834,8 @@ void Module::lead(Time now) noexcept {
       }
       break;
     case Authority::calibration:
+      selection_.disarm();
+      run_calibration(now);
       break;
     case Authority::homing:
       selection_.disarm();
@@ -820,7 +857,77 @@ void Module::lead(Time now) noexcept {
     homing_.abort();
     reference_.stop(config_.reference.stop_deceleration_rad_s2);
   }
+  if (authority_ != Authority::calibration && calibration_.running()) {
+    calibration_.interrupt();
+    end_calibration();
+  }
   watch_motion(now);
+}
+
+Calibration::Settings Module::calibration_settings() const noexcept {
+  const float most = max_torque_nm_ < config_.limits.torque_nm ? max_torque_nm_ : config_.limits.torque_nm;
+  const auto or_else = [](float value, float otherwise) { return value > 0.0F ? value : otherwise; };
+  return {.timeout = milliseconds(od_.action_timeout_ms),
+          .torque_zero_max_nm = od_.torque_zero_max_nm,
+          .torque_zero_load_nm = od_.torque_zero_load_nm,
+          .brake_test_torque_nm =
+              limit(or_else(od_.brake_test_torque_nm, kBrakeTestShare * config_.drive.rated_torque_nm), most),
+          .brake_test_travel_rad = od_.brake_test_travel_rad,
+          .recovery_speed_rad_s = od_.recovery_speed_rad_s,
+          .recovery_margin_rad = od_.recovery_margin_rad,
+          .recovery_travel_rad = od_.recovery_travel_rad,
+          .recovery_torque_nm = or_else(od_.recovery_torque_nm, 0.5F * config_.limits.torque_nm),
+          .lower_rad = config_.limits.lower_rad,
+          .upper_rad = config_.limits.upper_rad};
+}
+
+Calibration::Inputs Module::calibration_inputs(Time now) const noexcept {
+  return {.now = now,
+          .position_rad = sensing_.position_rad(),
+          .velocity_rad_s = sensing_.velocity_rad_s(),
+          .position_known = status_.homed,
+          .torque_nm = sensing_.joint_torque_nm(),
+          .load_nm = load_torque_nm_,
+          .commanded_nm = status_.torque_command_nm,
+          .reference_at_rest = reference_.at_rest(),
+          .lower_switch = sensing_.input(kInputNegativeLimit),
+          .upper_switch = sensing_.input(kInputPositiveLimit),
+          .brake_engaged = brake_.test_ready(now, sensing_.input(kInputBrakeReleased)),
+          .brake_open = brake_.motion_allowed()};
+}
+
+void Module::run_calibration(Time now) noexcept {
+  if (!homing_start_bit_) calibration_.interrupt();
+  if (start_edge_ && !calibration_.running() && mode_ != Mode::identification && brake_.motion_allowed()) {
+    reference_.stop(config_.reference.stop_deceleration_rad_s2);
+    calibration_.start(mode_, calibration_settings(), calibration_inputs(now));
+    od_.action_state = static_cast<std::uint8_t>(calibration_.state());
+    calibration_active_ = true;
+  }
+  if (!calibration_active_) return;
+  const Calibration::Wish before = calibration_.wish();
+  calibration_.update(calibration_inputs(now));
+  if (!calibration_.running()) return end_calibration();
+  const float velocity = calibration_.wish().velocity_rad_s;
+  if (velocity != before.velocity_rad_s) {
+    reference_.move_at(velocity, static_cast<float>(od_.homing_acceleration_mrad_s2) * 1e-3F);
+  }
+}
+
+// The joint is the control law's again, from where it is.
+void Module::end_calibration() noexcept {
+  calibration_active_ = false;
+  od_.action_state = static_cast<std::uint8_t>(calibration_.state());
+  if (calibration_.mode() == Mode::brake_test) {
+    od_.brake_test_slip_rad = calibration_.slip_rad();
+    if (selector_.law() == Law::active) go_active();
+  }
+  if (calibration_.mode() == Mode::torque_zero && calibration_.state() == ActionState::done) {
+    od_.torque_sensor_offset_nm += calibration_.found_offset_nm();
+    sensing_.set_torque_offset(od_.torque_sensor_offset_nm);
+    load_catches_up_ = true;
+  }
+  reference_.stop(config_.reference.stop_deceleration_rad_s2);
 }
 
 void Module::carry_out_selection(Time now) noexcept {
@@ -838,20 +945,17 @@ void Module::carry_out_selection(Time now) noexcept {
 }
 
 void Module::run_homing(Time now) noexcept {
-  const bool start = (od_.controlword & kControlHomingStart) != 0;
-  const bool edge = start && !homing_start_bit_;
-  homing_start_bit_ = start;
-  if (!start && homing_.running()) {
+  if (!homing_start_bit_ && homing_.running()) {
     homing_.abort();
     reference_.stop(config_.reference.stop_deceleration_rad_s2);
   }
-  if (edge && brake_.motion_allowed()) {
+  if (start_edge_ && brake_.motion_allowed()) {
     if (od_.homing_method == 35 || od_.homing_method == 37) {
       reference_.shift(sensing_.set_position(static_cast<float>(od_.home_offset_urad) * 1e-6F));
       homing_.finish();
       status_.homed = true;
     } else {
-      homing_.start(now, sensing_.input(kInputHomeSwitch));
+      homing_.start(now, sensing_.input(kInputHomeSwitch), sensing_.position_rad());
       const float acceleration = static_cast<float>(od_.homing_acceleration_mrad_s2) * 1e-3F;
       reference_.move_at(homing_.velocity_rad_s(), acceleration);
     }
@@ -859,8 +963,9 @@ void Module::run_homing(Time now) noexcept {
   }
   if (!homing_.running()) return;
   const float before = homing_.velocity_rad_s();
-  const bool at_edge = homing_.update(now, {sensing_.input(kInputHomeSwitch), sensing_.input(kInputNegativeLimit),
-                                            sensing_.input(kInputPositiveLimit)});
+  const bool at_edge = homing_.update(
+      now, {sensing_.input(kInputHomeSwitch), sensing_.input(kInputNegativeLimit), sensing_.input(kInputPositiveLimit),
+            sensing_.position_rad(), status_.torque_command_nm - load_torque_nm_});
   if (at_edge) {
     const float offset = static_cast<float>(od_.home_offset_urad) * 1e-6F;
     reference_.shift(sensing_.set_position(homing_.config().switch_position_rad + offset));
@@ -894,12 +999,15 @@ void Module::watch_motion(Time now) noexcept {
     }
     return;
   }
-  if (authority_ != Authority::motion) return;
+  const bool led = authority_ == Authority::motion || authority_ == Authority::user_stop || calibrating();
+  if (!led) return;
   const MotionState& r = reference_.state();
   const bool torque = torque_mode();
   const float direction = torque ? sensing_.velocity_rad_s() : r.velocity_rad_s;
-  const bool up = direction > kStill;
-  const bool down = direction < -kStill;
+  // Limit recovery starts outside, from a reference that may still creep.
+  const float still = calibrating() ? kCreep : kStill;
+  const bool up = direction > still;
+  const bool down = direction < -still;
   if (above && up) stop_at_limit(LimitCode::position_upper);
   if (below && down) stop_at_limit(LimitCode::position_lower);
   if ((sensing_.input(kInputPositiveLimit) && up) || (sensing_.input(kInputNegativeLimit) && down)) {
@@ -976,6 +1084,7 @@ float Module::control_torque(Time now) noexcept {
     // Without a position the best that can be done until the brake holds: carry what the joint carries, add nothing.
     return selector_.step(sensing_.joint_torque_nm().valid ? load_torque_nm_ : 0.0F, 0.0F);
   }
+  if (calibration_.wish().push) return selector_.step(calibration_.wish().push_nm, 0.0F);
   if (torque_mode()) {
     const float target = static_cast<float>(od_.target_torque_permille + od_.torque_offset_permille) * 1e-3F;
     reference_.start_at(sensing_.position_rad(), sensing_.velocity_rad_s(), config_.reference.stop_deceleration_rad_s2);
@@ -1016,6 +1125,7 @@ void Module::sequence_brake(Time now) noexcept {
   }
   in.feedback_released = sensing_.input(kInputBrakeReleased);
   in.cut = cut();
+  in.test = calibration_.wish().brake;
   const BrakeSequence::Trouble trouble = brake_.update(now, in);
   if (trouble != BrakeSequence::Trouble::none) brake_trouble_ = trouble;
 }
@@ -1078,7 +1188,9 @@ void Module::step(Time now, const RawSensors& sensors, std::span<const can::Rece
 
 can::LimitCode Module::active_limit() const noexcept {
   if (machine_.state() != DriveState::operation_enabled) return LimitCode::none;
+  if (calibrating()) return LimitCode::calibration;
   if (!brake_.motion_allowed()) return LimitCode::brake;
+  if (homing_.running()) return LimitCode::homing;
   if (!status_.homed && mode_ != Mode::homing) return LimitCode::not_homed;
   if (hold_reason_ != LimitCode::none) return hold_reason_;
   if (passive_ended_by_ != LimitCode::none) return passive_ended_by_;
@@ -1119,6 +1231,15 @@ std::uint16_t Module::statusword() const noexcept {
     case Mode::cyclic_torque:
       if (torque_mode()) word |= kStatusFollowing;
       break;
+    case Mode::torque_zero:
+    case Mode::brake_test:
+    case Mode::limit_recovery:
+      if (reference_.at_rest()) word |= kStatusTargetReached;
+      if (calibration_.mode() != mode_) break;
+      if (calibration_.state() == ActionState::done) word |= kStatusFollowing;
+      if (calibration_.state() > ActionState::done) word |= kStatusFollowingError;
+      break;
+    case Mode::identification:
     case Mode::passive:
     case Mode::none:
       break;

@@ -10,7 +10,9 @@
 #include "can_protocol/node.h"
 #include "can_protocol/storage.h"
 #include "common/core/time.h"
+#include "module_fw/actions/arbiter.h"
 #include "module_fw/actions/brake_sequence.h"
+#include "module_fw/actions/calibration.h"
 #include "module_fw/actions/drive_state_machine.h"
 #include "module_fw/actions/homing.h"
 #include "module_fw/comms/selection_switch.h"
@@ -57,6 +59,8 @@ class Module final : private can::NodeApplication {
     publish();
     return status_;
   }
+  /// As the arbiter's table names it.
+  [[nodiscard]] Situation situation() const noexcept;
   /// The objects as the bus sees them. For tests.
   [[nodiscard]] const can::ObjectDictionary& objects() const noexcept {
     publish();
@@ -94,6 +98,8 @@ class Module final : private can::NodeApplication {
   void follow_mode(Time now) noexcept;
   void carry_out_selection(Time now) noexcept;
   void run_homing(Time now) noexcept;
+  void run_calibration(Time now) noexcept;
+  void end_calibration() noexcept;
   void watch_motion(Time now) noexcept;
   void estimate_load(Time now) noexcept;
   [[nodiscard]] float control_torque(Time now) noexcept;
@@ -111,6 +117,11 @@ class Module final : private can::NodeApplication {
   void go_active() noexcept;
   [[nodiscard]] PassiveLaw::Evidence evidence() const noexcept;
   [[nodiscard]] Authority arbitrate() const noexcept;
+  [[nodiscard]] bool calibration_mode() const noexcept { return mode_ <= Mode::identification; }
+  /// A calibration or identification moves or pushes the joint.
+  [[nodiscard]] bool calibrating() const noexcept { return calibration_.running(); }
+  [[nodiscard]] Calibration::Settings calibration_settings() const noexcept;
+  [[nodiscard]] Calibration::Inputs calibration_inputs(Time now) const noexcept;
   [[nodiscard]] bool closing() const noexcept;
   [[nodiscard]] bool without_torque_sensor(Time now) const noexcept;
   [[nodiscard]] bool model_torque_fresh(Time now) const noexcept;
@@ -145,6 +156,8 @@ class Module final : private can::NodeApplication {
   DriveStateMachine machine_;
   BrakeSequence brake_;
   Homing homing_;
+  Calibration calibration_;
+  bool calibration_active_ = false;
 
   Authority authority_ = Authority::none;
   Time started_at_;
@@ -171,7 +184,8 @@ class Module final : private can::NodeApplication {
   can::LimitCode passive_ended_by_ = can::LimitCode::none;
   Mode mode_ = Mode::none;  ///< without the law: passive is a law within mode 8
   std::int8_t last_requested_mode_ = 0;
-  bool homing_start_bit_ = false;
+  bool homing_start_bit_ = false;  ///< controlword bit 4, for homing and calibrations
+  bool start_edge_ = false;        ///< it rose in this tick
 
   // Control
   float load_torque_nm_ = 0.0F;

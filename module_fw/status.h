@@ -24,6 +24,10 @@ enum class DriveState : std::uint8_t {
 
 /// 0x6060 / 0x6061.
 enum class Mode : std::int8_t {
+  limit_recovery = -5,
+  brake_test = -4,
+  torque_zero = -3,
+  identification = -2,
   passive = -1,
   none = 0,
   homing = 6,

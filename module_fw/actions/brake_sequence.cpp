@@ -51,7 +51,20 @@ BrakeSequence::Trouble BrakeSequence::update(Time now, const Inputs& in) noexcep
       }
       break;
     case Phase::open:
-      if (!in.wanted) enter(in.at_rest ? Phase::engaging : Phase::stopping, now);
+      if (!in.wanted) {
+        enter(in.at_rest ? Phase::engaging : Phase::stopping, now);
+      } else if (in.test) {
+        enter(Phase::testing, now);
+      }
+      break;
+    case Phase::testing:
+      if (!in.wanted) {
+        enter(Phase::engaging, now);
+      } else if (!in.test) {
+        enter(Phase::releasing, now);
+      } else if (in.feedback_released && elapsed > config_.engage + kEngageGrace) {
+        return Trouble::not_engaged;
+      }
       break;
     case Phase::stopping:
       if (in.wanted) {

@@ -14,7 +14,7 @@ namespace mrr::fw {
 /// torque.
 class BrakeSequence {
  public:
-  enum class Phase : std::uint8_t { off, confirming, releasing, open, stopping, engaging };
+  enum class Phase : std::uint8_t { off, confirming, releasing, open, stopping, engaging, testing };
   enum class Trouble : std::uint8_t { none, torque_not_confirmed, not_released, not_engaged };
 
   explicit BrakeSequence(const BrakeConfig& config) noexcept : config_(config) {}
@@ -24,7 +24,8 @@ class BrakeSequence {
     bool torque_confirmed = false;  ///< measured current is what was asked for
     bool at_rest = false;           ///< reference at rest
     bool feedback_released = false;
-    bool cut = false;  ///< torque off at once, brake engaged at once
+    bool test = false;  ///< brake test: engaged with the power stage on
+    bool cut = false;   ///< torque off at once, brake engaged at once
   };
 
   /// One tick.
@@ -37,6 +38,10 @@ class BrakeSequence {
   }
   /// Released, dwell over: torque moves the joint.
   [[nodiscard]] bool brake_open() const noexcept { return phase_ == Phase::open || phase_ == Phase::stopping; }
+  /// Brake test: it holds, the torque may push.
+  [[nodiscard]] bool test_ready(Time now, bool feedback_released) const noexcept {
+    return phase_ == Phase::testing && now - since_ >= config_.engage && !feedback_released;
+  }
   [[nodiscard]] bool motion_allowed() const noexcept { return phase_ == Phase::open; }
 
  private:

@@ -1,8 +1,18 @@
 #include "module_fw/actions/homing.h"
 
+#include "module_fw/control/scalar_math.h"
+
 namespace mrr::fw {
 
-void Homing::start(Time now, bool on_switch) noexcept {
+namespace {
+
+constexpr std::int32_t kHardTicks = 20;  // breaking loose takes a moment of more torque
+
+}  // namespace
+
+void Homing::start(Time now, bool on_switch, float position_rad) noexcept {
+  from_rad_ = position_rad;
+  hard_ticks_ = 0;
   started_ = now;
   seen_switch_ = false;
   phase_ = on_switch ? Phase::clear : Phase::search;
@@ -29,7 +39,11 @@ float Homing::velocity_rad_s() const noexcept {
 
 bool Homing::update(Time now, const Inputs& in) noexcept {
   if (!running()) return false;
-  if (now - started_ > config_.timeout) {
+  const bool too_far =
+      config_.max_travel_rad > 0.0F && !(absolute(in.position_rad - from_rad_) <= config_.max_travel_rad);
+  const bool hard = config_.max_torque_nm > 0.0F && !(absolute(in.effort_nm) <= config_.max_torque_nm);
+  hard_ticks_ = hard ? hard_ticks_ + 1 : 0;
+  if (now - started_ > config_.timeout || too_far || hard_ticks_ > kHardTicks) {
     phase_ = Phase::failed;
     return false;
   }

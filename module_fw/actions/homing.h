@@ -20,9 +20,11 @@ class Homing {
     bool home_switch = false;
     bool negative_limit = false;
     bool positive_limit = false;
+    float position_rad = 0.0F;
+    float effort_nm = 0.0F;  ///< torque beyond what the joint carries
   };
 
-  void start(Time now, bool on_switch) noexcept;
+  void start(Time now, bool on_switch, float position_rad) noexcept;
   void abort() noexcept {
     if (running()) phase_ = Phase::idle;
   }
@@ -45,6 +47,8 @@ class Homing {
   Phase phase_ = Phase::idle;
   Time started_;
   bool seen_switch_ = false;
+  float from_rad_ = 0.0F;
+  std::int32_t hard_ticks_ = 0;
 };
 
 }  // namespace mrr::fw

@@ -89,6 +89,10 @@ struct JointConstants {
     brake_torque = truth.drive.brake_torque_nm;
     brake_release = seconds(truth.drive.brake_release_s);
     brake_engage = seconds(truth.drive.brake_engage_s);
+    // Power lost = power made: the motor as a generator, joint side.
+    const double shorted = truth.drive.short_resistance_ohm;
+    const double weaker = std::min(torque_per_ampere[0], torque_per_ampere[1]);
+    short_damping = shorted > 0.0 ? weaker * weaker / shorted : 0.0;
   }
   LugreFriction friction;
   Spring spring;
@@ -107,6 +111,7 @@ struct JointConstants {
   double brake_torque;
   Duration brake_release;
   Duration brake_engage;
+  double short_damping = 0.0;  ///< Nm s/rad
 };
 
 struct JointState {
@@ -360,6 +365,9 @@ void Plant::World::substep(double h, Duration dt) noexcept {
       if (slips) joint.brake_anchor = qm[i] - std::copysign(give, twist);
       brake_fixed[i] = kBrakeStiffness * (qm[i] - joint.brake_anchor);
       brake_slope[i] = slips ? 0.0 : kBrakeDamping;
+    } else if (!joint.command.power_stage_enabled && !joint.brake_wanted_free) {
+      // The brake's line also opens the relay that shorts the windings: they slow the joint until the brake grips.
+      brake_slope[i] = constant.short_damping;
     }
 
     stop[i] = 0.0;

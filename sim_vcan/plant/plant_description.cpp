@@ -50,6 +50,7 @@ void read_joint(const YamlReader& section, JointTruth& joint) {
     d.brake_release_s = drive->number("brake_release", Unit::time, {0.0, 5.0}, d.brake_release_s);
     d.brake_engage_s = drive->number("brake_engage", Unit::time, {0.0, 5.0}, d.brake_engage_s);
     d.ambient_c = drive->number("ambient", Unit::temperature, {-40.0, 80.0}, d.ambient_c);
+    d.short_resistance_ohm = drive->number("short_resistance", Unit::resistance, {0.0, 1000.0}, d.short_resistance_ohm);
     d.bus_voltage_v = drive->number("bus_voltage", Unit::voltage, {0.0, 600.0}, d.bus_voltage_v);
     d.supply_resistance_ohm =
         drive->number("supply_resistance", Unit::resistance, {0.0, 100.0}, d.supply_resistance_ohm);

@@ -37,6 +37,7 @@ struct DriveTruth {
   double brake_torque_nm = 0.0;  ///< joint side
   double brake_release_s = 0.0;
   double brake_engage_s = 0.0;
+  double short_resistance_ohm = 1.0;  ///< stage off and brake line down: the windings are shorted over it; 0: open
   double ambient_c = 25.0;
   double bus_voltage_v = 48.0;
   double supply_resistance_ohm = 0.05;  ///< the bus sags by this times the current

@@ -153,6 +153,11 @@ bool Shell::tick(Time now, const RawSensors& sensors, std::span<const can::Recei
   }
   now_ = now;
   tx_.clear();
+  if (can_.bus_off()) {
+    module_->bus_off(now);
+  } else {
+    module_->bus_recovered(now);
+  }
   module_->step(now, sensors, received, actuator_, tx_);
   if (!tx_.empty()) can_.send({tx_.data(), tx_.size()});
   if (!received.empty()) follow_cob_ids();  // only a frame can have changed them

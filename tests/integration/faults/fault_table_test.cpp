@@ -500,6 +500,121 @@ TEST_P(FaultTable, IsFoundInTimeReactedToAndTold) {
   EXPECT_EQ(b.module.objects().statusword & kStatusWarning, 0);
 }
 
+PlantBench following_joint() {
+  JointSetup setup;
+  setup.joint = 1;
+  return PlantBench(setup);
+}
+
+TEST(Faults, TheFirstIsKeptWithAPictureAndLaterOnesAreCounted) {
+  PlantBench b = following_joint();
+  ASSERT_TRUE(b.enable());
+  ASSERT_TRUE(b.follow_here());
+  swing(b);
+  b.run(0.5);
+  const double q = double{b.status().position_rad};
+  const double v = double{b.status().velocity_rad_s};
+  b.spoil = [](RawSensors& raw) { raw.bus_voltage_adc = 9000; };
+  b.run(0.005);
+  const can::ObjectDictionary& od = b.module.objects();
+  EXPECT_NEAR(od.first_fault_position_urad * 1e-6, q, 0.01);
+  EXPECT_NEAR(od.first_fault_velocity_urad_s * 1e-6, v, 0.1);
+  EXPECT_NE(od.first_fault_torque_permille, 0);
+  EXPECT_NE(od.first_fault_current_permille, 0);
+  EXPECT_EQ(od.first_fault_mode, 8);
+  EXPECT_EQ(od.first_fault_statusword & 0x6F, 0x27) << "it was enabled then";
+  EXPECT_EQ(od.later_faults, 0);
+  b.spoil = [](RawSensors& raw) {
+    raw.bus_voltage_adc = 9000;
+    raw.drive_temperature_adc = 1200;
+    raw.fresh = static_cast<std::uint8_t>(raw.fresh & ~unsigned{kFreshEncoder});
+  };
+  b.run(0.5);
+  EXPECT_EQ(b.module.objects().first_fault_cause, static_cast<int>(Emergency::over_voltage));
+  EXPECT_EQ(b.module.objects().later_faults, 2);
+  EXPECT_EQ(b.module.objects().error_code, static_cast<int>(Emergency::encoder)) << "603Fh: the last one";
+}
+
+TEST(Faults, AHarderReactionTakesOverFromOneThatIsUnderWay) {
+  PlantBench b = following_joint();
+  ASSERT_TRUE(b.enable());
+  ASSERT_TRUE(b.follow_here());
+  swing(b);
+  b.run(0.5);
+  b.spoil = [](RawSensors& raw) { raw.bus_voltage_adc = 9000; };
+  b.run(0.006);
+  ASSERT_TRUE(b.actuator.power_stage_enabled && b.actuator.brake_release) << "a controlled stop";
+  b.spoil = [](RawSensors& raw) {
+    raw.bus_voltage_adc = 9000;
+    raw.inputs |= kInputPowerStageFault;
+  };
+  b.tick();
+  EXPECT_FALSE(b.actuator.power_stage_enabled);
+  EXPECT_FALSE(b.actuator.brake_release);
+}
+
+TEST(Faults, ALimitThatIsActiveIsNotAFault) {
+  PlantBench b = following_joint();
+  ASSERT_TRUE(b.enable());
+  ASSERT_TRUE(b.follow_here());
+  b.run(0.3);
+  // 8 degC below the highest winding temperature: the current comes down before it would trip.
+  const double hot = double{b.config.drive.max_winding_temperature_c} - 1.0;
+  b.spoil = [=](RawSensors& raw) { raw.winding_temperature_adc = static_cast<std::int16_t>(10.0 * hot); };
+  b.run(0.01);
+  const can::ObjectDictionary& od = b.module.objects();
+  EXPECT_EQ(od.error_or_limit, static_cast<int>(LimitCode::thermal));
+  EXPECT_NE(od.statusword & kStatusInternalLimit, 0);
+  EXPECT_EQ(od.statusword & (kStatusFault | kStatusWarning), 0);
+  EXPECT_EQ(od.error_register, 0);
+}
+
+struct Silence {
+  const char* name;
+  std::uint8_t sub;  ///< of 2131h
+  Fault fault;
+  std::function<void(PlantBench&)> provoke;
+};
+
+TEST(Faults, WhatASilentSourceLeadsToIsConfiguredPerSource) {
+  const std::vector<Silence> sources{
+      {"knots", 1, Fault::knots_lost, [](PlantBench& b) { b.trajectory = nullptr; }},
+      {"heartbeat", 3, Fault::heartbeat_lost,
+       [](PlantBench& b) { b.receive(can::heartbeat_frame(1, can::NmtState::operational)); }},
+      {"bus", 5, Fault::bus_off, [](PlantBench& b) { b.module.bus_off(b.now); }},
+  };
+  for (const Silence& source : sources) {
+    for (const Reaction reaction : {Reaction::report, Reaction::hold, Reaction::stop, Reaction::damp}) {
+      if (reaction == Reaction::report && source.sub == 1) continue;
+      PlantBench b = following_joint();
+      b.run(0.01);
+      b.write(0x2131, source.sub, static_cast<std::uint32_t>(reaction), 1);
+      ASSERT_TRUE(b.enable());
+      ASSERT_TRUE(b.follow_here());
+      swing(b);
+      b.run(0.5);
+      source.provoke(b);
+      b.run(0.8);
+      const can::ObjectDictionary& od = b.module.objects();
+      EXPECT_EQ(od.error_code, static_cast<int>(can::row_of(source.fault).code)) << source.name;
+      switch (reaction) {
+        case Reaction::report:
+          EXPECT_TRUE(b.status().following_knots) << source.name;
+          EXPECT_NE(od.statusword & kStatusWarning, 0);
+          break;
+        case Reaction::hold:
+          EXPECT_EQ(b.status().state, DriveState::operation_enabled) << source.name;
+          EXPECT_NEAR(b.status().velocity_rad_s, 0.0, 0.01) << source.name;
+          EXPECT_FALSE(b.status().following_knots) << source.name;
+          break;
+        default:
+          EXPECT_EQ(b.status().state, DriveState::fault) << source.name;
+          EXPECT_FALSE(b.actuator.power_stage_enabled) << source.name;
+      }
+    }
+  }
+}
+
 INSTANTIATE_TEST_SUITE_P(Rows, FaultTable, testing::Range(std::size_t{0}, can::kFaultCount),
                          [](const auto& row) { return std::string(can::kFaults[row.param].name); });
 
