@@ -75,7 +75,7 @@ ParameterStore::Finding ParameterStore::examine(std::uint8_t slot, Header& heade
   if (header.length > 4 * kSlotBytes) return Finding::damaged;
   std::uint32_t crc = crc32_more(kCrc32Start, head);
   for (std::size_t at = 0; at < header.length;) {
-    const std::size_t n = std::min(header.length - at, bytes.size());
+    const std::size_t n = std::min<std::size_t>(header.length - at, bytes.size());
     const std::span<std::uint8_t> part = std::span(bytes).first(n);
     if (!read_all(slot, kStorageHeaderBytes + at, part)) return Finding::damaged;
     crc = crc32_more(crc, part);
@@ -256,7 +256,7 @@ void ParameterStore::tick() noexcept {
     case Step::verify: {
       // Read back before it counts.
       const std::size_t all = kStorageHeaderBytes + length_;
-      const std::size_t n = offset_ < all ? std::min(all - offset_, piece_.size()) : 4;
+      const std::size_t n = offset_ < all ? std::min<std::size_t>(all - offset_, piece_.size()) : 4;
       const std::span<std::uint8_t> part = std::span(piece_).first(n);
       result = port_->read(target_, offset_, part);
       if (result != StoragePort::Result::done) break;
