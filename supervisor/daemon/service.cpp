@@ -324,6 +324,9 @@ Json Service::command(RequestKind kind, int joint) {
 Json Service::move(const Params& params) {
   const auto targets = params.find("positions_rad");
   if (targets == params.end()) refuse_parameter("positions_rad is missing; give radians by joint name, or a list");
+  if (!targets->is_object() && !(targets->is_array() && targets->size() == static_cast<std::size_t>(robot_.dof()))) {
+    refuse_parameter(fmt::format("positions_rad is neither an object nor a list of {} values", robot_.dof()));
+  }
   double speed = kDefaultSpeed;
   if (const auto it = params.find("speed"); it != params.end()) {
     if (!it->is_number()) refuse_parameter("speed is no number; give a share of the limits above 0, up to 1");
@@ -350,13 +353,11 @@ Json Service::move(const Params& params) {
   };
   if (targets->is_object()) {
     for (const auto& [name, value] : targets->items()) set(joint_of(Params{{"joint", name}}), value);
-  } else if (targets->is_array() && targets->size() == static_cast<std::size_t>(robot_.dof())) {
+  } else {
     for (int i = 0; i < robot_.dof(); ++i) {
       const Params& value = (*targets)[static_cast<std::size_t>(i)];
       if (!value.is_null()) set(i, value);
     }
-  } else {
-    refuse_parameter(fmt::format("positions_rad is neither an object nor a list of {} values", robot_.dof()));
   }
   JointTrajectory motion;
   try {
