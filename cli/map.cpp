@@ -129,7 +129,15 @@ std::string map_text(const RobotDescription& robot, const sup::MeasureMap& map) 
   const double nail_along = nail.dot(map.along);
   const double nail_up = robot.gravity_m_s2.norm() > 1e-3 ? -nail.dot(robot.gravity_m_s2.normalized()) : nail.z();
   text += "\n  up m\n";
-  for (int row = map.rows - 1; row >= 0; --row) {
+  const auto blank = [&](int row) {
+    const auto first = map.cells.begin() + row * map.columns;
+    return std::none_of(first, first + map.columns, [](const sup::MapCell& cell) { return cell.q.size() > 0; });
+  };
+  int top = map.rows - 1;
+  int bottom = 0;
+  while (top > bottom && blank(top)) --top;
+  while (bottom < top && blank(bottom)) ++bottom;
+  for (int row = top; row >= bottom; --row) {
     std::string line;
     for (int column = 0; column < map.columns; ++column) {
       const double half_x = 0.5 * (map.high_m - map.low_m) / map.columns;

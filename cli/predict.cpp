@@ -80,6 +80,9 @@ sup::PredictInput blow_of(const RobotDescription& robot, const PredictArguments&
   return in;
 }
 
+/// No "-0.000".
+double shown(double value, double smallest) { return std::abs(value) < smallest ? 0.0 : value; }
+
 Json list(const sup::JointVector& values) {
   Json array = Json::array();
   for (const double value : values) array.push_back(sup::number(value));
@@ -99,6 +102,7 @@ Json model_json(sup::PredictionModel model, const sup::Prediction& p) {
           {"effective_mass_kg", sup::number(p.effective_mass_kg)},
           {"delta_qd_rad_s", list(p.delta_qd)},
           {"axis_impulse_nm_s", list(p.axis_impulse_nm_s)},
+          {"blow_impulse_nm_s", list(p.blow_impulse_nm_s)},
           {"carried_before_nm", list(p.carried_before_nm)},
           {"peak_torque_nm", list(p.peak_torque_nm)}};
 }
@@ -164,13 +168,15 @@ int run_predict(const PredictArguments& a) {
       break;
     }
     fmt::print(
-        "\nJoints, {}\n  joint        q        q'      jump of q'  axis impulse  peak torque  of rep.peak\n"
-        "               rad      rad/s   rad/s       N m s         N m          %\n",
+        "\nJoints, {}: impulses are the blow's part, and all that is carried meanwhile\n"
+        "  joint      q       q'      jump of q'  impulse  all      peak torque  of rep.peak\n"
+        "             rad     rad/s   rad/s       N m s    N m s    N m          %\n",
         sup::describe(model));
     for (int i = 0; i < robot.dof(); ++i) {
       const JointDescription& joint = robot.joints[static_cast<std::size_t>(i)];
-      fmt::print("  {:<10} {:>7.3f} {:>8.3f} {:>11.3f} {:>13.4f} {:>12.2f} {:>12.0f}  {}\n", joint.name, in.q[i],
-                 in.qd[i], p.delta_qd[i], p.axis_impulse_nm_s[i], p.peak_torque_nm[i],
+      fmt::print("  {:<9} {:>6.3f} {:>7.3f} {:>9.3f} {:>11.4f} {:>8.4f} {:>9.2f} {:>9.0f}  {}\n", joint.name, in.q[i],
+                 in.qd[i], shown(p.delta_qd[i], 5e-4), shown(p.blow_impulse_nm_s[i], 5e-5),
+                 shown(p.axis_impulse_nm_s[i], 5e-5), p.peak_torque_nm[i],
                  100.0 * p.peak_torque_nm[i] / joint.transmission.repeated_peak_nm,
                  hold_name(in.joints[static_cast<std::size_t>(i)]));
     }

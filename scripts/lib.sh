@@ -2,7 +2,7 @@
 
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
 program_rooms="common;can_protocol;module_fw;supervisor;sim_vcan;cli"
-all_rooms="$program_rooms;tests"
+all_rooms="$program_rooms;bindings;examples;tests"
 
 say() { printf '%s\n' "$*" >&2; }
 die() {

@@ -29,6 +29,13 @@ def draw(data, picture):
     axes.plot(*data["nail_m"], marker="v", markersize=8, color=style.ORANGE, markeredgecolor=style.PAPER, linestyle="none",
               label="head of the task's nail")
     axes.plot(0.0, 0.0, marker="s", markersize=6, color=style.INK, linestyle="none", label="base")
+    reached = np.isfinite(values)
+    if reached.any():  # no blank margins, but base and nail stay in sight
+        step_x, step_y = along[1] - along[0], up[1] - up[0]
+        x = np.append(along[reached.any(axis=0)], [0.0, data["nail_m"][0]])
+        y = np.append(up[reached.any(axis=1)], [0.0, data["nail_m"][1]])
+        axes.set_xlim(x.min() - 2 * step_x, x.max() + 2 * step_x)
+        axes.set_ylim(y.min() - 2 * step_y, y.max() + 2 * step_y)
     axes.set_aspect("equal")
     axes.set_xlabel("along the plane of base and nail, m")
     axes.set_ylabel("up, m")

@@ -107,8 +107,9 @@ class Planner {
  private:
   [[nodiscard]] int dof() const { return chain_.dof(); }
   [[nodiscard]] std::uint32_t all() const { return (1U << dof()) - 1U; }
-  void weigh(Blow& blow, double slower = 1.0);
-  void weigh_selections(const Blow& blow, const ChainPose& pose, const SelectionSweep& sweep);
+  void weigh(Blow& blow, double slower = 1.0, std::optional<std::uint32_t> around = {});
+  void weigh_selections(const Blow& blow, const ChainPose& pose, const SelectionSweep& sweep,
+                        std::optional<std::uint32_t> around);
   [[nodiscard]] const Weighed* choose(Blow& blow, double slower) const;
   [[nodiscard]] JointVector drops(const ChainPose& pose) const;
   void detail(Blow& blow);
@@ -182,8 +183,10 @@ JointVector Planner::drops(const ChainPose& pose) const {
   return drop;
 }
 
-/// Every selection that the request leaves open, into weighed_.
-void Planner::weigh_selections(const Blow& blow, const ChainPose& pose, const SelectionSweep& sweep) {
+/// Every selection that the request leaves open, into weighed_. `around`: only this one and those that differ from it
+/// by one joint.
+void Planner::weigh_selections(const Blow& blow, const ChainPose& pose, const SelectionSweep& sweep,
+                               std::optional<std::uint32_t> around) {
   const JointVector drop = drops(pose);
   JointVector may_hold_m_s(dof());  // up to which each joint, held, carries no more than rated
   for (int i = 0; i < dof(); ++i) {
@@ -202,7 +205,7 @@ void Planner::weigh_selections(const Blow& blow, const ChainPose& pose, const Se
     candidates = all();
   }
   weighed_.clear();
-  sweep.for_each(candidates, fixed, [&](const SelectionBlow& s) {
+  const auto enter = [&](const SelectionBlow& s) {
     Weighed w;
     w.passive = s.passive;
     w.impulse_n_s_per_m_s = s.impulse_n_s(1.0, request_.restitution, request_.nail_mass_kg);
@@ -233,7 +236,13 @@ void Planner::weigh_selections(const Blow& blow, const ChainPose& pose, const Se
           std::clamp(impulse / w.impulse_n_s_per_m_s, kLeastSpeedShare * blow.top_speed_m_s, blow.top_speed_m_s);
     }
     weighed_.push_back(w);
-  });
+  };
+  if (!around || candidates == 0) {
+    sweep.for_each(candidates, fixed, enter);
+    return;
+  }
+  enter(sweep.at(*around));
+  for (int i = 0; i < dof(); ++i) enter(sweep.at(*around ^ (1U << i)));
 }
 
 /// The best of weighed_, and its speed. Null: none stays below the repeated peaks at a speed worth striking with.
@@ -316,7 +325,7 @@ double Planner::room_for_back_swing(const Blow& blow) const {
 }
 
 /// Velocity, selection and measure of a pose; as fast as the gears stand it, `slower` times what is wanted at the most.
-void Planner::weigh(Blow& blow, double slower) {
+void Planner::weigh(Blow& blow, double slower, std::optional<std::uint32_t> around) {
   blow.feasible = false;
   blow.why.clear();
   const ChainPose pose = chain_.pose(blow.pose.q);
@@ -340,7 +349,7 @@ void Planner::weigh(Blow& blow, double slower) {
     blow.why = "the impulse of this pose cannot be computed";
     return;
   }
-  weigh_selections(blow, pose, sweep);
+  weigh_selections(blow, pose, sweep, around);
   const Weighed* best = choose(blow, slower);
   if (best == nullptr) return;
   blow.chosen = *best;
@@ -423,9 +432,9 @@ void Planner::explain_selections(const Blow& blow, StrikePlan& plan) {
                    ? fmt::format("{} would fall too far", robot_.joints[at(w->limiting_joint)].name)
                    : "the arm could not yield";
     } else if (c.overloads_active && !overloads(best)) {
-      c.note = "a joint left active would carry more than its rated limit";
+      c.note = "an active joint would carry more than rated";
     } else if (c.needless && !needless(best)) {
-      c.note = "a joint would be passive that need not be: even held it carries no more than rated";
+      c.note = "a joint would be passive without need";
     } else if (c.load_ratio_per_n_s <= (1.0 + kTie) * best.load_ratio_per_n_s) {
       c.note = "no lighter, and not fewer joints passive";
     } else {
@@ -457,6 +466,7 @@ std::vector<std::size_t> Planner::ranked(const std::vector<Blow>& blows) const {
 /// the measure is a largest of loads under a best of selections.
 void Planner::improve(const FaceTarget& target, std::vector<Blow>& blows) {
   constexpr std::size_t kStarts = 6;
+  constexpr int kAllSelectionsInSearch = 10;
   const auto cost = [&](const Blow& blow) {
     if (!blow.feasible) return 1e3;
     const double value = std::log(blow.measure);
@@ -471,9 +481,12 @@ void Planner::improve(const FaceTarget& target, std::vector<Blow>& blows) {
   std::vector<Blow> found;
   for (const std::size_t k : order) {
     Blow trial;
+    // With many joints all selections cost more than the search can bear; on the way the best of neighbours leads.
+    std::optional<std::uint32_t> around;
+    if (dof() > kAllSelectionsInSearch) around = blows[k].passive;
     const auto cost_at = [&](const FaceSolution& pose) {
       trial.pose = pose;
-      weigh(trial);
+      weigh(trial, 1.0, around);
       return cost(trial);
     };
     const auto better = search.improve(blows[k].pose, cost_at);
@@ -964,18 +977,6 @@ constexpr std::size_t kPosesShown = 8;
 constexpr std::size_t kSelectionsShown = 8;
 constexpr std::size_t kJointsALine = 8;
 
-const char* name_of(ModeDecision decision) {
-  switch (decision) {
-    case ModeDecision::active:
-      return "active";
-    case ModeDecision::passive:
-      return "passive";
-    case ModeDecision::refuse:
-      return "refuse";
-  }
-  return "";
-}
-
 /// "APA": joint 1 first, A active, P passive.
 std::string letters(std::uint32_t passive, int n) {
   std::string text;
@@ -1045,16 +1046,15 @@ std::string report(const RobotDescription& robot, const StrikePlan& plan) {
 
   text += "\nJoints of the chosen blow\n";
   text +=
-      "               q'     limit   axis impulse, N m s, if           limits           at\n"
-      "               rad/s  rad/s   free    held    as planned  rated   rep.peak   impact\n";
+      "              q'     limit   axis impulse, N m s, if      limits, N m s\n"
+      "              rad/s  rad/s   free    held    as planned   rated   rep.peak  impact\n";
   for (int i = 0; i < n; ++i) {
     const JointLoad& load = plan.loads[at(i)];
     const bool passive = (plan.passive >> i & 1U) != 0;
-    text += fmt::format(
-        "  {:<10} {:>7.3f}  {:>6.3f}  {:>6.3f}  {:>6.3f}     {:>6.3f}  {:>6.3f}    {:>6.3f}   {}\n",
-        robot.joints[at(i)].name, plan.qd_impact[i], load.qd_limit_rad_s, load.free_nm_s, load.held_nm_s,
-        load.planned_nm_s, load.limits.rated_nm_s, load.limits.repeated_nm_s,
-        passive ? "passive" : name_of(load.decision == ModeDecision::passive ? ModeDecision::active : load.decision));
+    text += fmt::format("  {:<9} {:>7.3f}  {:>6.3f}  {:>6.3f}  {:>6.3f}      {:>6.3f}  {:>6.3f}     {:>6.3f}  {}\n",
+                        robot.joints[at(i)].name, plan.qd_impact[i], load.qd_limit_rad_s, load.free_nm_s,
+                        load.held_nm_s, load.planned_nm_s, load.limits.rated_nm_s, load.limits.repeated_nm_s,
+                        passive ? "passive" : "active");
   }
   text += fmt::format("\nSelections weighed: {}\n", plan.selections_weighed);
   shown = 0;

@@ -483,6 +483,48 @@ TEST(Plan, IsSoundOnTheExampleRobotsAtEveryHeightOfTheNail) {
   }
 }
 
+// Any serial arm: planned soundly or refused with a sentence.
+TEST(Plan, TakesArmsOfOneToSixteenJoints) {
+  Random random(17);
+  const RobotDescription reference = example("mrr3");
+  for (const int n : {1, 2, 3, 4, 5, 6, 8, 12, 16}) {
+    SCOPED_TRACE(n);
+    int planned = 0;
+    std::string last_refusal;
+    for (int k = 0; k < 6 && planned == 0; ++k) {
+      RobotDescription robot = test::random_arm(reference, n, random);
+      for (JointDescription& joint : robot.joints) {  // strong enough to carry the rest of the arm
+        joint.link.mass_kg *= 3.0 / n;
+        joint.link.inertia_kg_m2 *= 3.0 / n;
+      }
+      const Chain chain(robot);
+      const JointVector q = test::random_pose(robot, random, 0.5);
+      const Pose face = chain.face_pose(q);
+      PlanInput r;
+      r.head_position_m = face.position_m;
+      r.normal = -face.rotation.col(2);
+      if (n == 1) {  // one joint strikes only along its circle
+        r.normal = chain.jacobian(q).col(0).head<3>().normalized();
+        robot.hammer.max_tilt_rad = 3.0;
+      }
+      r.board_distance_m = 0.01;
+      r.start = q;
+      try {
+        const StrikePlan plan = sup::plan(robot, Chain(robot), r);
+        EXPECT_TRUE(plan.q_impact.allFinite() && plan.qd_impact.allFinite());
+        EXPECT_GT(plan.speed_m_s, 0.0);
+        EXPECT_EQ(plan.selections_weighed, 1 << n);
+        EXPECT_LT((Chain(robot).face_pose(plan.q_impact).position_m - r.head_position_m).norm(), 0.004);
+        ++planned;
+      } catch (const PlanError& error) {
+        last_refusal = error.what();
+        EXPECT_GT(last_refusal.size(), 30U);
+      }
+    }
+    EXPECT_GE(planned, 1) << last_refusal;
+  }
+}
+
 TEST(Plan, IsSoundOnRandomArmsAndNails) {
   Random random(13);
   const RobotDescription reference = example("mrr3");
