@@ -578,13 +578,17 @@ Prediction Blow::run() noexcept {
   none_.delta_qd = none_.axis_impulse_nm_s = none_.blow_impulse_nm_s = none_.carried_before_nm = none_.peak_torque_nm =
       JointVector::Zero(n_);
   out_ = kept_ = none_;
+  const JointVector J_n = arm_.chain.jacobian(in_.q).topRows<3>().transpose() * in_.normal;
+  if (!(J_n.dot(in_.qd) < 0.0)) {  // going away: nothing is struck
+    none_.feasible = true;
+    return none_;
+  }
   bool any_passive = false;
   for (int i = 0; i < n_; ++i) any_passive = any_passive || is_passive(i);
   // On the grid of the knots, one of which is the planned contact.
   double before = kRunIn_s;
   if (any_passive) {
-    const double speed = std::max(-in_.normal.dot(arm_.chain.jacobian(in_.q).topRows<3>() * in_.qd), 1e-6);
-    before += in_.switch_lead_s + kGapMargin_m / speed + arm_.knot_s;
+    before += in_.switch_lead_s + kGapMargin_m / std::max(-J_n.dot(in_.qd), 1e-6) + arm_.knot_s;
   }
   const double from = -std::ceil(std::min(before, kEarliest_s) / arm_.knot_s) * arm_.knot_s;
   switch_s_ = -in_.switch_lead_s;

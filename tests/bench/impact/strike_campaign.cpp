@@ -35,15 +35,17 @@ struct Strike {
   sim::PlantDescription plant;
   sup::PlanInput request;
   sup::StrikePlan plan;
+  std::uint64_t seed = 1;  // of the world; 0: everything is as described
 };
 
 std::size_t at(int i) { return static_cast<std::size_t>(i); }
 
 /// Draws a strike; none if the planner refuses it.
-std::optional<Strike> draw(const RobotDescription& robot, int number) {
+std::optional<Strike> draw(const RobotDescription& robot, int number, bool nominal = false) {
   Random random(static_cast<std::uint64_t>(number) + 1, 77);
   Strike s;
   s.number = number;
+  s.seed = nominal ? 0 : static_cast<std::uint64_t>(number) + 1;
   s.robot = robot;
   s.board = kBoards[static_cast<std::size_t>(number) % kBoards.size()];
   s.plant = sim::load_plant(robot, std::filesystem::path(MRR_SOURCE_DIR) / "robots" / "boards" / (s.board + ".yaml"));
@@ -168,7 +170,7 @@ Truth simulate(const Strike& s, const std::string& trace_path = {}) {
   Truth truth;
   truth.joint.assign(at(s.robot.dof()) * kTruthPerJoint, 0.0);
   sim::WorldOptions options;
-  options.seed = static_cast<std::uint64_t>(s.number) + 1;
+  options.seed = s.seed;
   sim::World world(s.robot, s.plant, options);
   const sup::JointVector& start = s.request.start;
   world.reset({start.data(), at(s.robot.dof())}, s.robot.task.nail_height_m);
@@ -256,7 +258,8 @@ class Archive {
     out_.open(path, std::ios::app);
   }
   Truth get(const std::string& robot, const Strike& s) {
-    std::string key = fmt::format("{} {} {:.12g} {}", robot, s.number, s.plan.speed_m_s, s.plan.passive);
+    std::string key =
+        fmt::format("{} {} {:.12g} {}", robot, s.seed == 0 ? -s.number : s.number, s.plan.speed_m_s, s.plan.passive);
     for (const double x : s.plan.q_impact) key += fmt::format(" {:.10g}", x);
     if (const auto it = kept_.find(key); it != kept_.end()) return it->second;
     const Truth t = simulate(s);
@@ -333,6 +336,8 @@ int main(int argc, char** argv) {
   app.add_option("--robot", robot_name, "folder under robots/")->capture_default_str();
   app.add_option("--out", out_path, "CSV to write")->capture_default_str();
   app.add_option("--archive", archive_path, "keeps emulated strikes from run to run");
+  bool nominal = false;
+  app.add_flag("--nominal", nominal, "robot and nail are exactly as described, sensors without noise");
   int trace = -1;
   app.add_option("--trace", trace, "emulate this strike alone and write its motion to --out");
   CLI11_PARSE(app, argc, argv);
@@ -351,7 +356,7 @@ int main(int argc, char** argv) {
   std::map<std::string, int> others;
   int number = 0;
   for (; counted < strikes; ++number) {
-    const std::optional<Strike> s = draw(robot, number);
+    const std::optional<Strike> s = draw(robot, number, nominal);
     if (!s) {
       ++others["refused by the planner"];
       continue;
