@@ -290,6 +290,7 @@ Supervisor::Supervisor(const RobotDescription& robot, const SupervisorConfig& co
     nodes_[at(i)] = NodeProxy(settings);
   }
   reference_ = at_rest(JointVector::Zero(dof_));
+  motion_ = JointTrajectory(reference_);  // while disabled it is sampled too, and an empty one has no joints
   sample_ = {JointVector::Zero(dof_), JointVector::Zero(dof_), JointVector::Zero(dof_)};
   outcome_.done = false;
   if (config_.start_disabled) activity_ = Activity::disabled;
