@@ -65,19 +65,28 @@ struct ControlConfig {
 
 /// Passive law and the change between the laws.
 struct PassiveConfig {
-  float compensation_nm = 0.0F;         ///< f_m, below the Coulomb friction
+  float compensation_nm = 0.0F;         ///< f_m in motion, below the Coulomb friction
+  float static_compensation_nm = 0.0F;  ///< f_m at rest, below the static friction; not below compensation_nm
   float still_velocity_rad_s = 0.02F;   ///< slower than this may be elastic micro-motion: it says nothing
   float moving_velocity_rad_s = 0.05F;  ///< at and above it the trend is the motion alone
   float torque_dead_band_nm = 1.0F;     ///< at rest: sensed torque below it says nothing
-  float torque_full_trend_nm = 5.0F;  ///< at rest: sensed torque from which the trend is whole; at least f_m above the
-                                      ///< dead band, or torque and trend chase each other
-  /// Fastest change of the trend (-1 .. 1); faster ones shake the joint loose by themselves.
+  float torque_trend_nm = 1.5F;  ///< at rest: sensed torque that makes a trend, which lasts down to the dead band
+  /// Fastest change of the trend (-1 .. 1) in motion, and at rest. Compensation bends the drive's friction and with it
+  /// the spring that the torque sensor looks at: faster than the link swings on that spring, the two chase each other.
   float trend_rate_1_s = 60.0F;
+  float rest_trend_rate_1_s = 10.0F;
+  float torque_filter_rad_s = 30.0F;        ///< of the sensed torque that makes a trend; below the link on its spring
   Duration blend = milliseconds(3);         ///< active torque fades into passive torque
   float resume_torque_slew_nm_s = 2000.0F;  ///< coming back
+  float guard_energy_j = 0.015F;            ///< observed gain of energy at which the compensation is taken back
   Duration max_time = milliseconds(500);    ///< then active again by itself
   float max_travel_rad = 0.35F;             ///< the same
 };
+
+/// The share of the static friction that `compensation_nm` is of the Coulomb friction.
+constexpr float static_compensation_nm(float compensation_nm, const FrictionConfig& f) noexcept {
+  return f.coulomb_nm > 0.0F ? compensation_nm * (f.static_nm / f.coulomb_nm) : 0.0F;
+}
 
 /// How the reference is led when no knots lead it.
 struct ReferenceConfig {

@@ -17,13 +17,17 @@ using can::Reaction;
 constexpr Duration kSensorStart = milliseconds(1000);  // by then every sensor must have spoken
 constexpr float kPositionSlack = 0.01F;                // rad beyond a soft limit before the joint is stopped for it
 constexpr float kCreep = 0.01F;                        // rad/s
-constexpr float kOutward = 0.05F;               // rad/s: moves away from its limits, whatever the noise of the velocity
-constexpr float kStill = 1e-3F;                 // rad/s: slower is not moving towards a limit
-constexpr float kConfirmShare = 0.05F;          // of full-scale current: agreement that confirms torque
-constexpr float kMaxCompensationShare = 0.95F;  // of the Coulomb friction: the passive law must not drive
+constexpr float kOutward = 0.05F;        // rad/s: moves away from its limits, whatever the noise of the velocity
+constexpr float kStill = 1e-3F;          // rad/s: slower is not moving towards a limit
+constexpr float kConfirmShare = 0.05F;   // of full-scale current: agreement that confirms torque
 constexpr float kHoldLeash = 0.8F;       // of the resynchronisation window: a held joint can always be taken over again
 constexpr float kBrakeTestShare = 1.5F;  // of the rated torque
 constexpr float kDamped = 0.05F;         // rad/s: slow enough for the brake when damping
+// Of the friction: the passive law must not drive, not even with a tenth less friction than identified.
+constexpr float kMaxCompensationShare = 0.895F;
+constexpr float kTakeBackTicks = 3.0F;             // a compensation that drives is gone after so many
+constexpr float kIdentificationSpeed = 0.8F;       // of the velocity limit
+constexpr float kIdentificationLoad = 0.7F;        // of the sensed load
 constexpr Duration kDampTime = milliseconds(150);  // ... which closes then at the latest
 constexpr std::uint32_t kNotWatched = 0xFFFF'FFFFU;
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
@@ -68,11 +72,13 @@ bool usable(const ModuleConfig& c) noexcept {
   }
   const PassiveConfig& p = c.passive;
   ok = ok && not_negative(p.compensation_nm) && p.compensation_nm <= kMaxCompensationShare * f.coulomb_nm &&
+       p.static_compensation_nm >= p.compensation_nm &&
+       p.static_compensation_nm <= kMaxCompensationShare * f.static_nm && positive(p.guard_energy_j) &&
        not_negative(p.still_velocity_rad_s) && p.moving_velocity_rad_s > p.still_velocity_rad_s &&
        is_finite(p.moving_velocity_rad_s) && not_negative(p.torque_dead_band_nm) &&
-       p.torque_full_trend_nm > p.torque_dead_band_nm && is_finite(p.torque_full_trend_nm) &&
-       positive(p.trend_rate_1_s) && positive(p.resume_torque_slew_nm_s) && positive(p.max_travel_rad) &&
-       p.blend.ns >= 0 && p.max_time.ns >= 0;
+       p.torque_trend_nm > p.torque_dead_band_nm && is_finite(p.torque_trend_nm) && positive(p.trend_rate_1_s) &&
+       positive(p.rest_trend_rate_1_s) && positive(p.torque_filter_rad_s) && positive(p.resume_torque_slew_nm_s) &&
+       positive(p.max_travel_rad) && p.blend.ns >= 0 && p.max_time.ns >= 0;
   const LimitsConfig& l = c.limits;
   ok = ok && l.lower_rad < l.upper_rad && positive(l.velocity_rad_s) && positive(l.acceleration_rad_s2) &&
        positive(l.torque_nm) && is_finite(l.lower_rad) && is_finite(l.upper_rad);
@@ -121,6 +127,7 @@ Module::Module(const ModuleConfig& config) noexcept
       reference_(config_.reference, config_.limits, dt_s_),
       active_(config_.control, config_.friction, dt_s_),
       passive_(config_.passive, dt_s_),
+      guard_(config_.control.inertia_kg_m2, dt_s_),
       selector_(make_selector(config_.passive, config_.tick)),
       drive_(config_.drive, config_.sensing, config_.limits, dt_s_),
       brake_(config_.brake),
@@ -163,6 +170,7 @@ void Module::fill_objects() noexcept {
   od_.compensator_position_gain_nm = c.control.compensator.position_gain_nm;
   od_.compensator_position_width_rad_s = c.control.compensator.position_width_rad_s;
   od_.passive_compensation = c.friction.static_nm > 0.0F ? c.passive.compensation_nm / c.friction.static_nm : 0.0F;
+  od_.passive_guard_j = c.passive.guard_energy_j;
   od_.passive_blend_s = c.passive.blend.seconds_f();
   od_.passive_max_s = c.passive.max_time.seconds_f();
   od_.passive_max_travel_rad = c.passive.max_travel_rad;
@@ -211,6 +219,8 @@ void Module::apply_parameters() noexcept {
   c.control.compensator.position_width_rad_s = od_.compensator_position_width_rad_s;
   const float wanted_nm = od_.passive_compensation * c.friction.static_nm;
   c.passive.compensation_nm = limit(wanted_nm, 0.0F, kMaxCompensationShare * c.friction.coulomb_nm);
+  c.passive.static_compensation_nm = static_compensation_nm(c.passive.compensation_nm, c.friction);
+  c.passive.guard_energy_j = od_.passive_guard_j;
   c.passive.blend = {static_cast<std::int64_t>(micro(od_.passive_blend_s)) * 1000};
   c.passive.max_time = {static_cast<std::int64_t>(micro(od_.passive_max_s)) * 1000};
   c.passive.max_travel_rad = od_.passive_max_travel_rad;
@@ -242,6 +252,7 @@ void Module::apply_parameters() noexcept {
   reference_ = Reference(c.reference, c.limits, dt_s_);
   active_ = ActiveLaw(c.control, c.friction, dt_s_);
   passive_ = PassiveLaw(c.passive, dt_s_);
+  guard_ = PassivityGuard(c.control.inertia_kg_m2, dt_s_);
   selector_ = make_selector(c.passive, c.tick);
   drive_.configure(c.drive, c.limits);
   sensor_watch_.configure(c);
@@ -391,6 +402,7 @@ void Module::offer_knot(const Knot& knot, Duration period) noexcept {
   switch (reference_.offer(knot, pll_.sync_time(), period, sensing_.position_rad())) {
     case KnotVerdict::resynchronised:
       passive_ended_by_ = LimitCode::none;
+      passivity_lost_ = false;
       knots_lost_ = false;
       [[fallthrough]];
     case KnotVerdict::accepted:
@@ -711,6 +723,7 @@ void Module::enable() noexcept {
   selection_.reset();
   hold_reason_ = LimitCode::none;
   passive_ended_by_ = LimitCode::none;
+  passivity_lost_ = false;
   limit_stop_ = false;
   knots_have_sequence_ = false;
   has_last_target_ = false;
@@ -752,10 +765,12 @@ void Module::stop_at_limit(LimitCode why) noexcept {
 
 void Module::go_passive(Time now) noexcept {
   passive_.begin(evidence());
+  guard_.begin(sensing_.velocity_rad_s(), sensing_.joint_torque_nm().value);
   selector_.go_passive(passive_.torque_nm());
   passive_since_ = now;
   passive_from_rad_ = sensing_.position_rad();
   passive_ended_by_ = LimitCode::none;
+  passivity_lost_ = false;
   hold_reason_ = LimitCode::none;
   was_blending_ = true;
   status_.selection_executed_at = now;
@@ -835,7 +850,11 @@ void Module::lead(Time now) noexcept {
       break;
     case Authority::calibration:
       selection_.disarm();
-      run_calibration(now);
+      if (mode_ == Mode::identification) {
+        run_identification();
+      } else {
+        run_calibration(now);
+      }
       break;
     case Authority::homing:
       selection_.disarm();
@@ -857,9 +876,12 @@ void Module::lead(Time now) noexcept {
     homing_.abort();
     reference_.stop(config_.reference.stop_deceleration_rad_s2);
   }
-  if (authority_ != Authority::calibration && calibration_.running()) {
-    calibration_.interrupt();
-    end_calibration();
+  if (authority_ != Authority::calibration) {
+    stop_identification();
+    if (calibration_.running()) {
+      calibration_.interrupt();
+      end_calibration();
+    }
   }
   watch_motion(now);
 }
@@ -978,6 +1000,50 @@ void Module::run_homing(Time now) noexcept {
   }
 }
 
+void Module::stop_identification() noexcept {
+  if (!identification_.running()) return;
+  identification_.abort();
+  reference_.stop(config_.reference.stop_deceleration_rad_s2);
+}
+
+void Module::run_identification() noexcept {
+  if (!homing_start_bit_) stop_identification();
+  const float acceleration = config_.reference.stop_deceleration_rad_s2;
+  if (start_edge_ && brake_.motion_allowed()) {
+    FrictionIdentification::Setup setup;
+    setup.gear_ratio = config_.drive.gear_ratio;
+    setup.inertia_kg_m2 = config_.control.inertia_kg_m2;
+    setup.torque_constant = {config_.drive.torque_constant_positive_nm_a, config_.drive.torque_constant_negative_nm_a};
+    setup.load_measured = config_.sensing.torque_sensor;
+    setup.coulomb_nm = config_.friction.coulomb_nm > 0.0F ? config_.friction.coulomb_nm : 1.0F;
+    setup.travel_rad = od_.identification_travel_rad;
+    setup.lower_rad = config_.limits.lower_rad;
+    setup.upper_rad = config_.limits.upper_rad;
+    setup.speed_rad_s =
+        limit(od_.identification_speed_rad_s, 0.0F, kIdentificationSpeed * config_.limits.velocity_rad_s);
+    setup.acceleration_rad_s2 = acceleration;
+    setup.max_residual = od_.identification_max_residual;
+    setup.dt_s = dt_s_;
+    identification_.start(setup, sensing_.position_rad());
+    if (identification_.running()) reference_.move_at(identification_.velocity_rad_s(), acceleration);
+    return;
+  }
+  if (!identification_.running()) return;
+  if (sensing_.input(kInputNegativeLimit) || sensing_.input(kInputPositiveLimit)) return stop_identification();
+  const float before = identification_.velocity_rad_s();
+  const bool valid = sensing_.position_valid() && sensing_.current_a().valid &&
+                     (!config_.sensing.torque_sensor || sensing_.joint_torque_nm().valid);
+  const float load_nm = config_.sensing.torque_sensor ? sensing_.joint_torque_nm().value : load_torque_nm_;
+  identification_.update(
+      {sensing_.position_rad(), sensing_.velocity_rad_s(), sensing_.current_a().value, load_nm, valid});
+  const float wanted = identification_.velocity_rad_s();
+  if (wanted == 0.0F && before != 0.0F) {
+    reference_.stop(acceleration);
+  } else if (wanted != before) {
+    reference_.move_at(wanted, acceleration);
+  }
+}
+
 // Limits that stop the joint without being faults.
 void Module::watch_motion(Time now) noexcept {
   if (!brake_.motion_allowed()) return;
@@ -1061,10 +1127,25 @@ void Module::estimate_load(Time now) noexcept {
   load_torque_nm_ = load_nm;
 }
 
+// Compensation that gives more than friction takes is taken back. Without the sensor nobody would notice.
+void Module::guard_passivity() noexcept {
+  if (!config_.sensing.torque_sensor || passive_.taken_back()) return;
+  const Reading& torque = sensing_.joint_torque_nm();
+  if (!torque.valid) {
+    passive_.take_back(kTakeBackTicks);
+  } else if (!(guard_.update(sensing_.velocity_rad_s(), torque.value) <= config_.passive.guard_energy_j)) {
+    passive_.take_back(kTakeBackTicks);
+    passivity_lost_ = true;
+  }
+}
+
 float Module::control_torque(Time now) noexcept {
   estimate_load(now);
   if (selector_.law() == Law::passive) {
-    if (!selector_.blending()) passive_.update(evidence());
+    if (!selector_.blending()) {
+      guard_passivity();
+      passive_.update(evidence());
+    }
     const float tau = selector_.step(0.0F, passive_.torque_nm());
     if (was_blending_ && !selector_.blending()) {
       was_blending_ = false;
@@ -1093,8 +1174,10 @@ float Module::control_torque(Time now) noexcept {
   reference_.keep_near(sensing_.position_rad(), kHoldLeash * config_.reference.resync_window_rad);
   reference_.not_faster_than(sensing_.velocity_rad_s());
   const MotionState& r = reference_.step(now);
+  // With a torque constant that is too small, carrying all of the load would be carrying more than that: unstable.
+  const float carried_nm = identification_.running() ? kIdentificationLoad * load_torque_nm_ : load_torque_nm_;
   const ActiveLawOutput law = active_.step(sensing_.position_rad() - r.position_rad, sensing_.velocity_rad_s(), r,
-                                           load_torque_nm_, !saturated_ && !selector_.catching_up());
+                                           carried_nm, !saturated_ && !selector_.catching_up());
   status_.active_torque_nm = law.torque_nm;
   status_.compensator_nm = law.compensator_nm;
   return selector_.step(law.torque_nm, 0.0F);
@@ -1193,6 +1276,7 @@ can::LimitCode Module::active_limit() const noexcept {
   if (homing_.running()) return LimitCode::homing;
   if (!status_.homed && mode_ != Mode::homing) return LimitCode::not_homed;
   if (hold_reason_ != LimitCode::none) return hold_reason_;
+  if (passivity_lost_) return LimitCode::passivity_guard;
   if (passive_ended_by_ != LimitCode::none) return passive_ended_by_;
   if (load_by_model_ && config_.sensing.torque_sensor) return LimitCode::model_torque;
   switch (drive_limit_) {
@@ -1224,6 +1308,11 @@ std::uint16_t Module::statusword() const noexcept {
       if (homing_.phase() == Homing::Phase::done) word |= kStatusFollowing;
       if (homing_.phase() == Homing::Phase::failed) word |= kStatusFollowingError;
       break;
+    case Mode::identification:
+      if (reference_.at_rest()) word |= kStatusTargetReached;
+      if (identification_.state() == FrictionIdentification::State::done) word |= kStatusFollowing;
+      if (identification_.state() > FrictionIdentification::State::done) word |= kStatusFollowingError;
+      break;
     case Mode::cyclic_position:
       if (status_.following_knots) word |= kStatusFollowing;
       if (following_error_ticks_ > 0) word |= kStatusFollowingError;
@@ -1239,12 +1328,22 @@ std::uint16_t Module::statusword() const noexcept {
       if (calibration_.state() == ActionState::done) word |= kStatusFollowing;
       if (calibration_.state() > ActionState::done) word |= kStatusFollowingError;
       break;
-    case Mode::identification:
     case Mode::passive:
     case Mode::none:
       break;
   }
   return static_cast<std::uint16_t>(word);
+}
+
+void Module::publish_identification() const noexcept {
+  const FrictionIdentification::Result& r = identification_.result();
+  od_.identification_progress_percent = identification_.progress_percent();
+  od_.identified_positive = r.friction[0];
+  od_.identified_negative = r.friction[1];
+  od_.identified_torque_constant_positive_nm_a = r.torque_constant[0];
+  od_.identified_torque_constant_negative_nm_a = r.torque_constant[1];
+  od_.identified_residual_nm = r.residual_nm;
+  od_.identified_samples = r.points;
 }
 
 // Drawn when somebody looks: at most once per tick, and in most ticks not at all.
@@ -1305,6 +1404,9 @@ void Module::publish() const noexcept {
   od_.brake_released = sensing_.input(kInputBrakeReleased) ? 1 : 0;
   od_.uptime_us = static_cast<std::uint64_t>((status_.now - started_at_) / microseconds(1)) + tick_us_;
   status_.thermal_load = drive_.thermal_load();
+  od_.passive_gained_j = guard_.largest_gain_j();
+  od_.identification_state = static_cast<std::uint8_t>(identification_.state());
+  if (identification_.state() != FrictionIdentification::State::none) publish_identification();
   status_.sync_error_ns = pll_.last_error().ns;
   status_.clock_drift_ppm = pll_.drift_ppm();
   od_.sync_locked = status_.sync_locked ? 1 : 0;

@@ -18,6 +18,7 @@
 #include "module_fw/comms/selection_switch.h"
 #include "module_fw/config.h"
 #include "module_fw/control/active_law.h"
+#include "module_fw/control/friction_identification.h"
 #include "module_fw/control/passive_law.h"
 #include "module_fw/control/reference.h"
 #include "module_fw/control/sync_pll.h"
@@ -100,11 +101,15 @@ class Module final : private can::NodeApplication {
   void run_homing(Time now) noexcept;
   void run_calibration(Time now) noexcept;
   void end_calibration() noexcept;
+  void run_identification() noexcept;
+  void stop_identification() noexcept;
   void watch_motion(Time now) noexcept;
   void estimate_load(Time now) noexcept;
+  void guard_passivity() noexcept;
   [[nodiscard]] float control_torque(Time now) noexcept;
   void sequence_brake(Time now) noexcept;
   void publish() const noexcept;
+  void publish_identification() const noexcept;
   void refresh() noexcept override { publish(); }
 
   void offer_knot(const Knot& knot, Duration period) noexcept;
@@ -119,7 +124,7 @@ class Module final : private can::NodeApplication {
   [[nodiscard]] Authority arbitrate() const noexcept;
   [[nodiscard]] bool calibration_mode() const noexcept { return mode_ <= Mode::identification; }
   /// A calibration or identification moves or pushes the joint.
-  [[nodiscard]] bool calibrating() const noexcept { return calibration_.running(); }
+  [[nodiscard]] bool calibrating() const noexcept { return calibration_.running() || identification_.running(); }
   [[nodiscard]] Calibration::Settings calibration_settings() const noexcept;
   [[nodiscard]] Calibration::Inputs calibration_inputs(Time now) const noexcept;
   [[nodiscard]] bool closing() const noexcept;
@@ -151,6 +156,7 @@ class Module final : private can::NodeApplication {
   Reference reference_;
   ActiveLaw active_;
   PassiveLaw passive_;
+  PassivityGuard guard_;
   TorqueSelector selector_;
   Drive drive_;
   DriveStateMachine machine_;
@@ -158,6 +164,7 @@ class Module final : private can::NodeApplication {
   Homing homing_;
   Calibration calibration_;
   bool calibration_active_ = false;
+  FrictionIdentification identification_;
 
   Authority authority_ = Authority::none;
   Time started_at_;
@@ -182,7 +189,8 @@ class Module final : private can::NodeApplication {
   bool limit_stop_ = false;
   can::LimitCode hold_reason_ = can::LimitCode::none;
   can::LimitCode passive_ended_by_ = can::LimitCode::none;
-  Mode mode_ = Mode::none;  ///< without the law: passive is a law within mode 8
+  bool passivity_lost_ = false;  ///< the guard took the compensation back in the last passive phase
+  Mode mode_ = Mode::none;       ///< without the law: passive is a law within mode 8
   std::int8_t last_requested_mode_ = 0;
   bool homing_start_bit_ = false;  ///< controlword bit 4, for homing and calibrations
   bool start_edge_ = false;        ///< it rose in this tick

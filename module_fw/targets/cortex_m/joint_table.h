@@ -21,7 +21,8 @@ constexpr ModuleConfig make_joint_table() noexcept {
                            {0.1F, 0.1F, 0.1F, 2.0F},
                            0.4F,
                            0.06F};
-  c.passive.compensation_nm = 3.45F;
+  c.passive.compensation_nm = 3.31F;
+  c.passive.static_compensation_nm = 3.91F;
   c.drive.gear_ratio = 101.0F;
   c.drive.torque_constant_positive_nm_a = 0.19F;
   c.drive.torque_constant_negative_nm_a = 0.25F;

@@ -60,8 +60,9 @@ std::uint32_t configuration_hash(const ModuleConfig& c) {
           k.compensator.robust_width[i]);
   }
   const PassiveConfig& p = c.passive;
-  h.all(p.compensation_nm, p.still_velocity_rad_s, p.moving_velocity_rad_s, p.torque_dead_band_nm,
-        p.torque_full_trend_nm, p.trend_rate_1_s, p.blend, p.resume_torque_slew_nm_s, p.max_time, p.max_travel_rad);
+  h.all(p.compensation_nm, p.static_compensation_nm, p.guard_energy_j, p.still_velocity_rad_s, p.moving_velocity_rad_s,
+        p.torque_dead_band_nm, p.torque_trend_nm, p.trend_rate_1_s, p.rest_trend_rate_1_s, p.torque_filter_rad_s,
+        p.blend, p.resume_torque_slew_nm_s, p.max_time, p.max_travel_rad);
   const ReferenceConfig& r = c.reference;
   h.all(r.stop_deceleration_rad_s2, r.quick_stop_deceleration_rad_s2, r.settle_rate_1_s, r.resync_window_rad,
         r.resync_velocity_rad_s, r.offset_decay_1_s);
@@ -120,14 +121,17 @@ ModuleConfig module_config(const RobotDescription& robot, int joint) {
 
   // f_m is a share of the static friction, and must stay below the Coulomb friction.
   c.passive.compensation_nm =
-      narrow(std::min(j.control.passive_compensation * j.friction.static_nm, 0.95 * j.friction.coulomb_nm));
+      narrow(std::min(j.control.passive_compensation * j.friction.static_nm, 0.89 * j.friction.coulomb_nm));
+  c.passive.static_compensation_nm = static_compensation_nm(c.passive.compensation_nm, c.friction);
   c.passive.blend = seconds(j.control.passive_blend_s);
   c.passive.resume_torque_slew_nm_s = narrow(j.control.resume_torque_slew_nm_s);
   c.passive.max_time = seconds(j.control.max_passive_s);
   c.passive.max_travel_rad = narrow(j.control.max_passive_travel_rad);
   // At rest the sensed torque tells the trend only beyond its own noise and drift.
   c.passive.torque_dead_band_nm = narrow(std::max(1.0, 6.0 * j.sensors.torque_noise_nm + 0.5));
-  c.passive.torque_full_trend_nm = c.passive.torque_dead_band_nm + std::max(1.0F, c.passive.compensation_nm);
+  // Friction stores a little elastically and gives it back at every reversal: that much is no gain.
+  c.passive.guard_energy_j = 0.005F + 0.00016F * c.friction.static_nm;
+  c.passive.torque_trend_nm = 1.5F * c.passive.torque_dead_band_nm;
 
   c.reference.stop_deceleration_rad_s2 = narrow(j.stop_deceleration_rad_s2());
   c.reference.quick_stop_deceleration_rad_s2 = narrow(j.limits.acceleration_rad_s2);

@@ -1,4 +1,5 @@
 // How good the module's control is on the emulated robot, as tables: tracking, standing, robustness.
+#include <algorithm>
 #include <cstdio>
 #include <string>
 #include <vector>
@@ -104,6 +105,37 @@ void print_standing() {
   }
 }
 
+void print_passive() {
+  std::printf("\nTurning the passive base joint by hand (the reference's Table 2), Nm\n");
+  std::printf("  %-24s %10s %10s %12s %12s\n", "", "positive", "negative", "published +", "published -");
+  const double without[] = {torque_to_turn(0, 1.0, false), torque_to_turn(0, -1.0, false)};
+  const double with[] = {torque_to_turn(0, 1.0, true), torque_to_turn(0, -1.0, true)};
+  std::printf("  %-24s %10.1f %10.1f %12.1f %12.1f\n", "without compensation", without[0], without[1], 36.3, 36.2);
+  std::printf("  %-24s %10.1f %10.1f %12.1f %12.1f%s\n", "with compensation", with[0], with[1], 7.6, 5.7,
+              verdict(with[0] <= 7.6 && with[1] <= 5.7));
+  std::printf("  %-24s %8.0f %% %8.0f %% %10d %% %10d %%\n", "ratio", 100.0 * with[0] / without[0],
+              100.0 * with[1] / without[1], 21, 16);
+
+  std::printf("\nRandom hands on a passive joint: energy that compensation less friction put into it\n");
+  std::printf("  %-14s %9s %12s %14s %12s %10s\n", "", "friction", "gained mJ", "bristles mJ", "net J", "guarded");
+  for (const JointGoal& j : kJoints) {
+    for (const double friction : {1.0, 0.9, 0.8, 0.7, 0.6, 0.5}) {
+      PassiveResult all;
+      for (std::uint64_t seed = 1; seed <= 4; ++seed) {
+        const PassiveResult r = push_about({j.joint, friction, seed}, 8.0);
+        if (!r.completed) std::printf("  %s\n", r.note.c_str());
+        all.gained_j = std::max(all.gained_j, r.gained_j);
+        all.bristle_j = r.bristle_j;
+        all.net_j += r.net_j;
+        all.guarded += r.guarded;
+        all.phases += r.phases;
+      }
+      std::printf("  %-14s %7.0f %% %12.1f %14.1f %12.1f %5d/%d%s\n", j.name, 100.0 * friction, 1e3 * all.gained_j,
+                  1e3 * all.bristle_j, all.net_j, all.guarded, all.phases, verdict(all.gained_j <= 0.05));
+    }
+  }
+}
+
 }  // namespace
 
 int main() {
@@ -111,4 +143,5 @@ int main() {
   print_tracking();
   print_standing();
   print_robustness();
+  print_passive();
 }

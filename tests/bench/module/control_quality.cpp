@@ -156,4 +156,112 @@ Standing stand(const QualityCase& c, double hold_s) {
   return result;
 }
 
+namespace {
+
+void select(PlantBench& b, bool active) {
+  static std::uint8_t sequence = 0;
+  sequence = static_cast<std::uint8_t>(sequence % 31U + 1U);
+  b.select(can::SelectionAction::now, active, sequence);
+  b.tick();
+}
+
+}  // namespace
+
+double torque_to_turn(int joint, double direction, bool compensated, std::uint64_t seed) {
+  JointSetup setup;
+  setup.joint = joint;
+  setup.seed = seed;
+  setup.config = [&](ModuleConfig& m) {
+    m.passive.max_time = milliseconds(100'000);
+    if (!compensated) m.passive.compensation_nm = m.passive.static_compensation_nm = 0.0F;
+  };
+  PlantBench b(setup);
+  constexpr double kNever = std::numeric_limits<double>::quiet_NaN();
+  if (!b.enable() || !b.follow_here()) return kNever;
+  b.run(0.1);
+  select(b, false);
+  const double from = b.joint.motor_q();
+  constexpr double kRate_nm_s = 2.0;
+  constexpr double kTurned_rad = 3e-3;
+  for (double hand = 0.0; hand < 80.0; hand += kRate_nm_s * b.config.tick.seconds()) {
+    b.joint.external_nm = direction * hand;
+    b.tick();
+    if (b.status().law != Law::passive) return kNever;
+    if (direction * (b.joint.motor_q() - from) > kTurned_rad) return hand;
+  }
+  return kNever;
+}
+
+PassiveResult push_about(const PassiveCase& c, double seconds) {
+  QualityCase q;
+  q.joint = c.joint;
+  q.friction = c.friction;
+  q.feedforward = 1.0;
+  JointSetup setup = setup_of(q);
+  setup.config = [&](ModuleConfig& m) {
+    m.passive.max_time = milliseconds(400);
+    if (!c.compensated) m.passive.compensation_nm = m.passive.static_compensation_nm = 0.0F;
+  };
+  PassiveResult result;
+  Random random(c.seed, 99);
+  // Without gravity the hand is all that pushes. The torque sensor is as wrong as it may be.
+  setup.plant = [&, inner = setup.plant](RobotDescription& r, sim::PlantDescription& p) {
+    inner(r, p);
+    r.gravity_m_s2.setZero();
+    sim::JointTruth& truth = p.joints[static_cast<std::size_t>(c.joint)];
+    // Against the identified one, not against what the example's plant has.
+    const FrictionDescription& identified = r.joints[static_cast<std::size_t>(c.joint)].friction;
+    for (double& x : truth.friction.coulomb_nm) x = c.friction * identified.coulomb_nm;
+    for (double& x : truth.friction.static_nm) x = c.friction * identified.static_nm;
+    truth.friction.viscous_nm_s_rad = c.friction * identified.viscous_nm_s_rad;
+    truth.sensor.torque_offset_nm = random.uniform(-0.3, 0.3);
+    truth.sensor.torque_gain_error = random.uniform(-0.02, 0.02);
+    const double static_nm = std::max(truth.friction.static_nm[0], truth.friction.static_nm[1]);
+    result.bristle_j = 0.5 * static_nm * static_nm / truth.friction.bristle_stiffness_nm_rad;
+  };
+  PlantBench b(setup);
+  if (!b.enable()) {
+    result.note = "not enabled";
+    return result;
+  }
+  const double static_nm = double{b.config.friction.static_nm};
+  const auto work = [&] { return b.joint.truth.energy.motor_work_j - b.joint.truth.energy.friction_work_j; };
+  double passive_s = 0.0;
+  while (passive_s < seconds) {
+    b.joint.external_nm = 0.0;
+    // Back to the middle now and then, by hand as it were: the joint holds where it is, the travel is bounded.
+    if (!b.run_until([&] { return std::abs(b.joint.motor_v()) < 1e-3; }, 2.0) || !b.follow_here()) {
+      result.note = fmt::format("not led again: fault {:04X}h, limit {}", static_cast<int>(b.status().fault),
+                                static_cast<int>(b.status().limit));
+      return result;
+    }
+    select(b, false);
+    b.run(b.config.passive.blend.seconds());
+    ++result.phases;
+    const double start = work();
+    const double from = b.joint.motor_q();
+    double lowest = start;
+    double next_change = 0.0;
+    for (double t = 0.0; b.status().law == Law::passive && t < 0.5; t += b.config.tick.seconds()) {
+      if (t >= next_change) {
+        next_change = t + random.uniform(0.2, 1.8) * c.push_s;
+        const double share = random.uniform() < 0.25 ? 0.0 : random.uniform(-c.hand_share, c.hand_share);
+        b.joint.external_nm = share * static_nm;
+      }
+      b.tick();
+      passive_s += b.config.tick.seconds();
+      const double now = work();
+      lowest = std::min(lowest, now);
+      result.gained_j = std::max(result.gained_j, now - lowest);
+      result.moved_rad = std::max(result.moved_rad, std::abs(b.joint.motor_q() - from));
+    }
+    result.net_j += work() - start;
+    const auto& od = b.module.objects();
+    result.observed_j = std::max(result.observed_j, double{od.passive_gained_j});
+    if (b.status().limit == can::LimitCode::passivity_guard) ++result.guarded;
+  }
+  result.completed = b.status().fault == can::Emergency::none;
+  return result;
+}
+
 }  // namespace mrr::fw::test

@@ -46,4 +46,32 @@ Tracking track(const QualityCase& c, double seconds = 8.0);
 /// Half a period of the sine, then a stop and a hold of `hold_s`.
 Standing stand(const QualityCase& c, double hold_s);
 
+/// The reference's Table 2: the base joint, passive, turned by a hand that pushes ever harder.
+/// @returns the hand's torque, Nm, at which the motor comes along (by 3 mrad, ten times what its friction gives
+/// elastically); NaN if it never did.
+double torque_to_turn(int joint, double direction, bool compensated, std::uint64_t seed = 0);
+
+/// What a passive joint does under a hand.
+struct PassiveCase {
+  int joint = 0;
+  double friction = 1.0;    ///< true friction against the identified one
+  std::uint64_t seed = 1;   ///< of the hand, and of the plant's sensors
+  double hand_share = 1.3;  ///< largest torque of the hand, of the static friction; 0: no hand
+  double push_s = 0.12;     ///< mean time that one torque lasts
+  bool compensated = true;
+};
+struct PassiveResult {
+  bool completed = false;
+  std::string note;
+  double gained_j = 0.0;   ///< most that motor less friction ever put into the joint, since it was lowest
+  double net_j = 0.0;      ///< motor less friction over the whole time
+  double moved_rad = 0.0;  ///< largest motor motion from the start
+  int phases = 0;
+  double bristle_j = 0.0;   ///< what friction can store and give back
+  int guarded = 0;          ///< passive phases that the guard ended the compensation of
+  double observed_j = 0.0;  ///< most that the module saw
+};
+/// Passive phases in a row, for `seconds` of them.
+PassiveResult push_about(const PassiveCase& c, double seconds);
+
 }  // namespace mrr::fw::test

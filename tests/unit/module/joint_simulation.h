@@ -69,8 +69,8 @@ inline ModuleConfig module_config(const JointParameters& p, bool base = false) {
     k.compensator = {true, {10, 300, 300, 0}, {2, 2.5F, 2.5F, 0}, {0.5F, 0.8F, 0.8F, 40}, {0.1F, 0.1F, 0.1F, 2}, 0.4F,
                      0.06F};
   }
-  c.passive.compensation_nm = static_cast<float>(0.75 * p.static_nm);
-  c.passive.torque_full_trend_nm = c.passive.torque_dead_band_nm + c.passive.compensation_nm;
+  c.passive.compensation_nm = static_cast<float>(0.85 * p.coulomb_nm);
+  c.passive.static_compensation_nm = static_cast<float>(0.85 * p.static_nm);
   c.limits.torque_nm = base ? 110.0F : 45.0F;
   c.limits.lower_rad = -2.5F;
   c.limits.upper_rad = 2.5F;
