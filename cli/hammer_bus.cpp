@@ -196,6 +196,8 @@ BusJob run_bus_job(const RobotDescription& robot, const BusJobOptions& options) 
   const bool lockstep = job.clock == "lockstep";
   Recorder recorder(options.bus, lockstep && plant_bus.is_string() ? plant_bus.get<std::string>() : std::string());
 
+  bool put_back = false;
+  std::size_t seen_before = 0;  // swings of earlier jobs
   if (plant) {
     // A nail that was struck before: a new one, and the arm at rest where a job begins. Sensors jump by that, so the
     // drives are off meanwhile.
@@ -208,7 +210,9 @@ BusJob run_bus_job(const RobotDescription& robot, const BusJobOptions& options) 
       wait_for(supervisor, recorder, "the robot has not let go",
                [](const Json& status) { return status.at("activity") == "disabled"; });
       plant->call("reset");
+      put_back = true;
     }
+    seen_before = plant->call("truth").at("swings").get<std::size_t>();
     plant->call("recording_start");
   }
   const Json before = supervisor.call("status");
@@ -216,8 +220,14 @@ BusJob run_bus_job(const RobotDescription& robot, const BusJobOptions& options) 
   const auto began = Clock::now();
   if (!before.at("ready").get<bool>()) {
     supervisor.call("enable");
-    wait_for(supervisor, recorder, "the robot is not ready",
-             [](const Json& status) { return status.at("ready").get<bool>(); });
+    wait_for(supervisor, recorder, "the robot is not ready", [&](const Json& status) {
+      const Json& joints = status.at("joints");
+      const bool faulted =
+          std::any_of(joints.begin(), joints.end(), [](const Json& joint) { return joint.at("stage") == "faulted"; });
+      // A joint takes the arm that was put back for a broken encoder: that fault is ours to acknowledge, no other.
+      if (faulted && std::exchange(put_back, false)) supervisor.call("reset");
+      return status.at("ready").get<bool>();
+    });
   }
 
   supervisor.call("subscribe", {{"events", {"swing", "job"}}});
@@ -269,13 +279,13 @@ BusJob run_bus_job(const RobotDescription& robot, const BusJobOptions& options) 
     do {
       really = plant->call("swings").at("swings");
       recorder.take(10ms, -1);
-    } while (really.size() < outcome.swings.size() && Clock::now() < end);
-    if (really.size() < outcome.swings.size()) {
+    } while (really.size() < seen_before + outcome.swings.size() && Clock::now() < end);
+    if (really.size() < seen_before + outcome.swings.size()) {
       throw rpc::ConnectionError(fmt::format("mrr_plant has seen {} of {} swings; restart it before the next job",
-                                             really.size(), outcome.swings.size()));
+                                             really.size() - seen_before, outcome.swings.size()));
     }
     for (std::size_t k = 0; k < outcome.swings.size(); ++k) {
-      sim::SwingTruth truth = swing_truth(really[k]);
+      sim::SwingTruth truth = swing_truth(really[seen_before + k]);
       const Json& joints = outcome.swings[k].at("joints");
       for (std::size_t i = 0; i < truth.joints.size(); ++i)
         truth.joints[i].passive = joints[i].at("passive").get<bool>();

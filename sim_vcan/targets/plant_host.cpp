@@ -192,8 +192,8 @@ void PlantHost::observe() {
   const plant_io::SupervisorTelemetry supervisor =
       plant_io::decode_supervisor(participants_[plant_io::kSupervisor].payload);
   const bool swinging = in_swing(supervisor.activity);
-  // The supervisor counts its swings: a new number closes the one before.
-  if (supervisor.swing > swing_) {
+  // The supervisor counts its swings: another number closes the one before, also none, when its job is over.
+  if (supervisor.swing != swing_) {
     if (swing_ > 0 && swings_.size() < kMaxSwings) {
       std::uint32_t passive = 0;
       for (std::size_t i = 0; i < static_cast<std::size_t>(dof_); ++i) {
