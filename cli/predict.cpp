@@ -168,7 +168,7 @@ int run_predict(const PredictArguments& a) {
       break;
     }
     fmt::print(
-        "\nJoints, {}: impulses are the blow's part, and all that is carried meanwhile\n"
+        "\nJoints, {} (impulse: of the blow; all: with what was carried before)\n"
         "  joint      q       q'      jump of q'  impulse  all      peak torque  of rep.peak\n"
         "             rad     rad/s   rad/s       N m s    N m s    N m          %\n",
         sup::describe(model));

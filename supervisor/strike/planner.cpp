@@ -72,6 +72,7 @@ struct Weighed {
   std::uint32_t passive = 0;
   double load_ratio_per_n_s = kInfinity;
   double impulse_n_s_per_m_s = 0.0;
+  double effective_mass_kg = 0.0;
   double wanted_m_s = 0.0;   // the speed asked for
   double allowed_m_s = 0.0;  // up to which no joint exceeds its repeated peak; 0: a passive joint would fall too far
   double considerate_m_s = 0.0;  // up to which no active joint exceeds its rated limit
@@ -209,6 +210,7 @@ void Planner::weigh_selections(const Blow& blow, const ChainPose& pose, const Se
     Weighed w;
     w.passive = s.passive;
     w.impulse_n_s_per_m_s = s.impulse_n_s(1.0, request_.restitution, request_.nail_mass_kg);
+    w.effective_mass_kg = 1.0 / s.mobility_per_kg;
     w.allowed_m_s = w.considerate_m_s = kInfinity;
     w.load_ratio_per_n_s = 0.0;
     for (int i = 0; i < dof(); ++i) {
@@ -305,7 +307,7 @@ double Planner::measure_of(const Blow& blow, const ChainPose& pose) const {
     case StrikeMeasure::internal_impact:
       return internal_impact_measure(chain_, pose, chain_.reach_m(), request_.rotors, request_.formulation).w_ii;
     case StrikeMeasure::effective_mass:
-      return (1.0 + request_.restitution) / blow.chosen.impulse_n_s_per_m_s;
+      return blow.chosen.effective_mass_kg;
   }
   return kInfinity;
 }

@@ -228,6 +228,19 @@ TEST(Plan, LightestModeTakesWhateverLoadsLeast) {
   EXPECT_LT(lightest.measure_value, 0.95 * careful.measure_value);
 }
 
+TEST(Plan, RanksByTheMeasureAskedFor) {
+  const RobotDescription robot = example("arm7");
+  const Chain chain(robot);
+  PlanInput r = request_for(robot, 0.03);
+  r.nail_mass_kg = 20.0;
+  r.restitution = 0.4;
+  r.measure = StrikeMeasure::effective_mass;
+  const StrikePlan heavy = sup::plan(robot, chain, r);
+  EXPECT_NEAR(heavy.measure_value, heavy.effective_mass_kg, 1e-9 * heavy.effective_mass_kg);
+  r.measure = StrikeMeasure::load_ratio;
+  EXPECT_LT(sup::plan(robot, chain, r).effective_mass_kg, heavy.effective_mass_kg);
+}
+
 TEST(Plan, NoPassiveJointMayFallOutOfItsTravel) {
   RobotDescription robot = example("mrr3");
   robot.joints[1].control.max_passive_travel_rad = 0.01;  // joint 2 falls by 27 mrad
