@@ -147,7 +147,7 @@ StrikeArm::StrikeArm(const RobotDescription& robot)
     if (j.control.friction_by_reference) d.still_velocity_rad_s = 20.0;
     d.compensator = j.control.compensator;
     d.friction = j.friction;
-    d.compensation_nm = std::min(j.control.passive_compensation * j.friction.static_nm, 0.95 * j.friction.coulomb_nm);
+    d.compensation_nm = std::min(j.control.passive_compensation * j.friction.static_nm, 0.89 * j.friction.coulomb_nm);
     d.sensed_dead_band_nm = std::max(1.0, 6.0 * j.sensors.torque_noise_nm + 0.5);
     d.sensed_full_trend_nm = std::max(1.0, d.compensation_nm);
     d.blend_s = j.control.passive_blend_s;
