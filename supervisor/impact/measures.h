@@ -13,7 +13,7 @@ namespace mrr::sup {
 [[nodiscard]] Eigen::Matrix3d linear_mobility(const Chain& chain, const ChainPose& pose,
                                               RotorModel rotors = RotorModel::sym) noexcept;
 
-/// 1/(u^T W u), kg; u is normalised here. Infinite if the face cannot move along u.
+/// 1/(u^T W u), kg (Khatib, IJRR 14(1), 1995); u is normalised here. Infinite if the face cannot move along u.
 [[nodiscard]] double effective_mass_kg(const Eigen::Matrix3d& mobility, const Eigen::Vector3d& direction) noexcept;
 
 /// Axes are columns; semi-axes descend. Along an axis in which the face cannot move the semi-axis is infinite.
@@ -21,11 +21,12 @@ struct ImpactEllipsoid {
   Eigen::Matrix3d axes = Eigen::Matrix3d::Identity();
   Eigen::Vector3d semi_axes = Eigen::Vector3d::Zero();
 };
-/// Semi-axes 1/eig(W): impulse per unit of speed, N s/(m/s), without the factor 1+e.
+/// Semi-axes 1/eig(W): impulse per unit of speed, N s/(m/s), without the factor 1+e. (Walker, IEEE T-RA 10(5), 1994.)
 [[nodiscard]] ImpactEllipsoid dynamic_impact_ellipsoid(const Eigen::Matrix3d& mobility) noexcept;
-/// Semi-axes 1/sqrt(eig(W)).
+/// Semi-axes 1/sqrt(eig(W)): impulse per root of the kinetic energy of the joints (Walker 1994).
 [[nodiscard]] ImpactEllipsoid generalised_impact_ellipsoid(const Eigen::Matrix3d& mobility) noexcept;
-/// Normalised impact geometry: P over directions for unit approach speed, (1+e)/(u^T W u + 1/M*), N s/(m/s).
+/// Normalised impact geometry (Kim, Chung and Youm, ICRA 2000): P over directions for unit approach speed, (1+e)/(u^T W
+/// u + 1/M*), N s/(m/s).
 [[nodiscard]] double normalised_impulse_n_s(const Eigen::Matrix3d& mobility, const Eigen::Vector3d& direction,
                                             double restitution,
                                             double nail_mass_kg = std::numeric_limits<double>::infinity()) noexcept;
