@@ -131,6 +131,8 @@ struct HomingConfig {
   Duration timeout = milliseconds(30'000);
   float max_travel_rad = 0.0F;  ///< 0: not capped
   float max_torque_nm = 0.0F;   ///< beyond what the joint carries; 0: not capped
+  bool index = false;  ///< after the edge goes on to the encoder's next index pulse, which is the reference then
+  float index_position_rad = 0.0F;  ///< what the joint reads there
 };
 
 struct BrakeConfig {

@@ -184,6 +184,8 @@ void Module::fill_objects() noexcept {
   od_.homing_timeout_ms = to_ms(c.homing.timeout);
   od_.homing_max_travel_urad = micro(c.homing.max_travel_rad);
   od_.homing_max_torque_nm = c.homing.max_torque_nm;
+  od_.homing_index = c.homing.index ? 1 : 0;
+  od_.homing_index_position_urad = micro_rad(c.homing.index_position_rad);
   od_.homing_speed_switch_urad_s = micro(c.homing.fast_rad_s);
   od_.homing_speed_zero_urad_s = micro(c.homing.slow_rad_s);
   od_.brake_release_ms = static_cast<std::uint16_t>(to_ms(c.brake.release));
@@ -242,6 +244,8 @@ void Module::apply_parameters() noexcept {
   c.homing.timeout = milliseconds(od_.homing_timeout_ms);
   c.homing.max_travel_rad = static_cast<float>(od_.homing_max_travel_urad) * 1e-6F;
   c.homing.max_torque_nm = od_.homing_max_torque_nm;
+  c.homing.index = od_.homing_index != 0;
+  c.homing.index_position_rad = static_cast<float>(od_.homing_index_position_urad) * 1e-6F;
   c.selection_bit = od_.selection_bit;
   const Duration knot_period = microseconds(od_.knot_period_us);
   const bool new_period = knot_period != c.knot_period;
@@ -558,24 +562,52 @@ void Module::settle_faults(Time now) noexcept {
   }
 }
 
-void Module::find_faults(Time now, const RawSensors& sensors) noexcept {
-  const ModuleConfig& c = config_;
-  const bool enabled = machine_.state() == DriveState::operation_enabled;
-  const bool held = brake_.phase() == BrakeSequence::Phase::off;
-  faults_.check(Fault::configuration, !configuration_valid_);
-  const MotionState& r = reference_.state();
-  const float sum = sensing_.position_rad() + sensing_.velocity_rad_s() + r.position_rad + r.velocity_rad_s +
-                    r.acceleration_rad_s2 + load_torque_nm_ + drive_.thermal_load();
-  faults_.check(Fault::not_a_number, torque_not_finite_ || !is_finite(sum));
-  faults_.check(Fault::loop_overrun, late_);
-  faults_.check(Fault::stored_parameters, stored_refused_);
-  faults_.check(Fault::storage, store_.lost_something());
+void Module::find_flagged_faults() noexcept {
+  const auto find_if = [&](Fault fault, bool stands) {
+    if (stands) faults_.find(fault);
+  };
+  find_if(Fault::configuration, !configuration_valid_);
+  find_if(Fault::loop_overrun, late_);
+  find_if(Fault::stored_parameters, stored_refused_);
+  find_if(Fault::storage, store_.lost_something());
+  find_if(Fault::limit_switch, limit_switch_hit_);
+  find_if(Fault::knots_lost, knots_lost_);
+  find_if(Fault::torque_target_lost, torque_target_lost_);
+  find_if(Fault::homing_failed, mode_ == Mode::homing && homing_.phase() == Homing::Phase::failed);
+  switch (brake_trouble_) {
+    case BrakeSequence::Trouble::none:
+      break;
+    case BrakeSequence::Trouble::torque_not_confirmed:
+      faults_.find(Fault::torque_not_confirmed);
+      break;
+    case BrakeSequence::Trouble::not_released:
+      faults_.find(Fault::brake_not_released);
+      break;
+    case BrakeSequence::Trouble::not_engaged:
+      faults_.find(Fault::brake_not_engaged);
+      break;
+  }
 #ifndef MRR_NO_TEST_OBJECTS
   if (test_fault_ != Fault::none) {
     faults_.find(test_fault_);
     if (faults_.reaction_of(test_fault_) < Reaction::stop) test_fault_ = Fault::none;  // nothing to reset
   }
 #endif
+}
+
+void Module::find_faults(Time now, const RawSensors& sensors) noexcept {
+  const ModuleConfig& c = config_;
+  const bool enabled = machine_.state() == DriveState::operation_enabled;
+  const bool held = brake_.phase() == BrakeSequence::Phase::off;
+  const MotionState& r = reference_.state();
+  const float sum = sensing_.position_rad() + sensing_.velocity_rad_s() + r.position_rad + r.velocity_rad_s +
+                    r.acceleration_rad_s2 + load_torque_nm_ + drive_.thermal_load();
+  faults_.check(Fault::not_a_number, torque_not_finite_ || !is_finite(sum));
+  // Flags that hardly ever stand: looked at one by one only when one does.
+  const bool any_flag = !configuration_valid_ || late_ || stored_refused_ || store_.lost_something() || knots_lost_ ||
+                        torque_target_lost_ || limit_switch_hit_ || test_fault_ != Fault::none ||
+                        brake_trouble_ != BrakeSequence::Trouble::none || homing_.phase() == Homing::Phase::failed;
+  if (any_flag) find_flagged_faults();
   faults_.check(Fault::power_stage, sensing_.input(kInputPowerStageFault));
   if (!sensing_.complete() && now - started_at_ <= kSensorStart) return;  // still starting
 
@@ -606,24 +638,6 @@ void Module::find_faults(Time now, const RawSensors& sensors) noexcept {
   const bool upper = sensing_.input(kInputPositiveLimit);
   faults_.check(Fault::limit_switches, lower && upper);
   if (!lower && !upper) limit_switch_hit_ = false;
-  faults_.check(Fault::limit_switch, limit_switch_hit_);
-
-  switch (brake_trouble_) {
-    case BrakeSequence::Trouble::none:
-      break;
-    case BrakeSequence::Trouble::torque_not_confirmed:
-      faults_.find(Fault::torque_not_confirmed);
-      break;
-    case BrakeSequence::Trouble::not_released:
-      faults_.find(Fault::brake_not_released);
-      break;
-    case BrakeSequence::Trouble::not_engaged:
-      faults_.find(Fault::brake_not_engaged);
-      break;
-  }
-  faults_.check(Fault::homing_failed, mode_ == Mode::homing && homing_.phase() == Homing::Phase::failed);
-  faults_.check(Fault::knots_lost, knots_lost_);
-  faults_.check(Fault::torque_target_lost, torque_target_lost_);
   // A switch that is armed, or a passive phase that runs, is carried through even without a supervisor: both are
   // bounded.
   const bool watched = enabled && !(selection_.armed() || passive());
@@ -987,10 +1001,10 @@ void Module::run_homing(Time now) noexcept {
   const float before = homing_.velocity_rad_s();
   const bool at_edge = homing_.update(
       now, {sensing_.input(kInputHomeSwitch), sensing_.input(kInputNegativeLimit), sensing_.input(kInputPositiveLimit),
-            sensing_.position_rad(), status_.torque_command_nm - load_torque_nm_});
+            sensing_.input(kInputIndexPulse), sensing_.position_rad(), status_.torque_command_nm - load_torque_nm_});
   if (at_edge) {
     const float offset = static_cast<float>(od_.home_offset_urad) * 1e-6F;
-    reference_.shift(sensing_.set_position(homing_.config().switch_position_rad + offset));
+    reference_.shift(sensing_.set_position(homing_.reference_rad() + offset));
     status_.homed = true;
   }
   if (!homing_.running()) {

@@ -93,6 +93,7 @@ class Module final : private can::NodeApplication {
   // The stages of a tick, in their order.
   void watch(Time now, const RawSensors& sensors) noexcept;
   void find_faults(Time now, const RawSensors& sensors) noexcept;
+  void find_flagged_faults() noexcept;
   void settle_faults(Time now) noexcept;
   void decide_state(Time now) noexcept;
   void lead(Time now) noexcept;

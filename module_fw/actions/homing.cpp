@@ -28,6 +28,7 @@ float Homing::velocity_rad_s() const noexcept {
     case Phase::clear:
       return -direction * config_.slow_rad_s;
     case Phase::approach:
+    case Phase::index:
       return direction * config_.slow_rad_s;
     case Phase::idle:
     case Phase::done:
@@ -68,6 +69,13 @@ bool Homing::update(Time now, const Inputs& in) noexcept {
       break;
     case Phase::approach:
       if (in.home_switch) {
+        phase_ = config_.index ? Phase::index : Phase::done;
+        return !config_.index;
+      }
+      if (limit_ahead) phase_ = Phase::failed;
+      break;
+    case Phase::index:
+      if (in.index_pulse) {
         phase_ = Phase::done;
         return true;
       }

@@ -12,7 +12,7 @@ namespace mrr::fw {
 /// The switch is closed from its edge on in the direction of the search.
 class Homing {
  public:
-  enum class Phase : std::uint8_t { idle, search, pass_over, clear, approach, done, failed };
+  enum class Phase : std::uint8_t { idle, search, pass_over, clear, approach, index, done, failed };
 
   void configure(const HomingConfig& config) noexcept { config_ = config; }
 
@@ -20,6 +20,7 @@ class Homing {
     bool home_switch = false;
     bool negative_limit = false;
     bool positive_limit = false;
+    bool index_pulse = false;
     float position_rad = 0.0F;
     float effort_nm = 0.0F;  ///< torque beyond what the joint carries
   };
@@ -30,16 +31,21 @@ class Homing {
   }
   /// Homing where the joint stands (methods 35, 37).
   void finish() noexcept { phase_ = Phase::done; }
-  /// One tick while running. @returns true in the tick in which the edge was met: the joint is at the switch position
-  /// now.
+  /// One tick while running. @returns true in the tick in which the reference was met: the joint is at
+  /// reference_rad() now.
   bool update(Time now, const Inputs& in) noexcept;
 
   [[nodiscard]] Phase phase() const noexcept { return phase_; }
   [[nodiscard]] bool running() const noexcept {
-    return phase_ == Phase::search || phase_ == Phase::pass_over || phase_ == Phase::clear || phase_ == Phase::approach;
+    return phase_ == Phase::search || phase_ == Phase::pass_over || phase_ == Phase::clear ||
+           phase_ == Phase::approach || phase_ == Phase::index;
   }
   /// Velocity to move with, 0 when not running.
   [[nodiscard]] float velocity_rad_s() const noexcept;
+  /// What the joint reads at the reference: the switch's edge, or the index pulse after it.
+  [[nodiscard]] float reference_rad() const noexcept {
+    return config_.index ? config_.index_position_rad : config_.switch_position_rad;
+  }
   [[nodiscard]] const HomingConfig& config() const noexcept { return config_; }
 
  private:

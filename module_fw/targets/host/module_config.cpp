@@ -74,7 +74,7 @@ std::uint32_t configuration_hash(const ModuleConfig& c) {
   h.all(l.lower_rad, l.upper_rad, l.velocity_rad_s, l.acceleration_rad_s2, l.torque_nm, l.following_error_rad,
         l.following_error_time);
   h.all(c.homing.switch_position_rad, c.homing.direction, c.homing.fast_rad_s, c.homing.slow_rad_s, c.homing.timeout,
-        c.homing.max_travel_rad, c.homing.max_torque_nm);
+        c.homing.max_travel_rad, c.homing.max_torque_nm, c.homing.index, c.homing.index_position_rad);
   h.all(c.brake.release, c.brake.engage, c.brake.torque_confirm_timeout);
   h.all(c.watchdog.missing_knots, c.watchdog.supervisor_heartbeat, c.watchdog.sync, c.watchdog.loop);
   return h.value();

@@ -169,6 +169,37 @@ TEST(LimitRecovery, HasCapsOnTravelTorqueAndTime) {
   EXPECT_TRUE(failed(b));
 }
 
+/// Where joint 2 thinks it is, less where it is, after homing with a switch that is off by `switch_error_rad`.
+double error_after_homing(bool index, double switch_error_rad) {
+  PlantBench b(joint_2(
+      [index](ModuleConfig& c) {
+        c.sensing.encoder_absolute = false;
+        c.homing.switch_position_rad = 0.45F;
+        c.homing.index = index;
+        c.homing.index_position_rad = 0.40F;
+      },
+      [switch_error_rad](RobotDescription& r, sim::PlantDescription& p) {
+        r.joints[1].homing.switch_position_rad = 0.45;
+        p.joints[1].sensor.home_switch_offset_rad = switch_error_rad;
+      }));
+  EXPECT_TRUE(b.enable());
+  b.set_mode(6);
+  b.run(0.01);
+  b.command(0x1F);
+  EXPECT_TRUE(b.run_until([&] { return (b.module.objects().statusword & kStatusFollowing) != 0; }, 20.0));
+  b.run(0.3);
+  EXPECT_TRUE(b.status().homed);
+  return double{b.status().position_rad} - b.joint.motor_q();
+}
+
+TEST(Homing, TheIndexPulseDoesNotCareWhereInItsTurnTheSwitchIs) {
+  const double switch_moves = error_after_homing(false, 0.003) - error_after_homing(false, 0.0);
+  // The switch sits on the link, which rings on its spring as it passes: some of the 3 mrad is lost in that.
+  EXPECT_GT(std::abs(switch_moves), 0.002) << "the switch alone: its error is the joint's";
+  const double index_moves = error_after_homing(true, 0.003) - error_after_homing(true, 0.0);
+  EXPECT_NEAR(index_moves, 0.0, 5e-5);
+}
+
 TEST(HomingCaps, EndASearchThatGoesTooFarOrTooHard) {
   for (const bool torque : {false, true}) {
     PlantBench b(joint_2([torque](ModuleConfig& c) {
