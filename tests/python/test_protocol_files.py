@@ -103,7 +103,7 @@ def test_eds_maps_only_what_it_describes(dictionary):
 
 def test_eds_limits_and_access(dictionary):
     mode = dictionary[0x6060]
-    assert (mode.min, mode.max) == (-1, 10)
+    assert (mode.min, mode.max) == (-5, 10)
     assert mode.writable and mode.readable
     assert not dictionary[0x6041].writable
 
