@@ -7,6 +7,10 @@
 
 namespace mrr::sup {
 
+namespace {
+constexpr double kStandingShare = 0.5;  // of the mean force, that a nail withstands at rest
+}
+
 StrikeEstimator::StrikeEstimator(double assumed_contact_s, const StrikeEstimateConfig& config) noexcept
     : config_(config), contact_s_(std::clamp(assumed_contact_s, config.min_contact_s, config.max_contact_s)) {}
 
@@ -46,6 +50,7 @@ bool StrikeEstimator::learn(const StrikePlan& plan, const ContactReport& report)
     sdr_ += middle * resistance;
   }
   depth_m_ += moved;
+  nail_moved_ = moved > config_.least_penetration_m;
   // The nail goes where the reference goes, give or take what the blow adds and the joints give way. One that did not
   // move says nothing of that: aiming deeper would only press against it.
   if (moved > config_.least_penetration_m) {
@@ -63,6 +68,16 @@ double StrikeEstimator::resistance_n(double depth_m) const noexcept {
   double slope = spread > 1e-8 * s1_ * s1_ ? (s1_ * sdr_ - sd_ * sr_) / spread : 0.0;
   slope = std::max(slope, 0.0);  // a nail does not get easier to drive; a fit that says so is noise
   return std::max((sr_ - slope * sd_) / s1_ + slope * depth_m, 0.0);
+}
+
+ContactLaw StrikeEstimator::contact_law(double room_m) const noexcept {
+  ContactLaw law;
+  law.nail_room_m = std::max(room_m, 0.0);
+  if (!nail_moved_) return law;
+  // Blows tell the mean force against depth; half of it is taken for the nail's damping, which is not seen apart.
+  const double mean_n = resistance_n(depth_m_);
+  law.nail_resistance_n = kStandingShare * mean_n;
+  return law;
 }
 
 double StrikeEstimator::follow_through_for(double wanted_m) const noexcept {

@@ -35,6 +35,8 @@ class StrikeEstimator {
   [[nodiscard]] double resistance_n(double depth_m) const noexcept;   ///< R(d) = R0 + R1 d, fitted, >= 0
   [[nodiscard]] double depth_m() const noexcept { return depth_m_; }  ///< driven so far
   [[nodiscard]] int blows() const noexcept { return blows_; }
+  /// What the next blow meets, for the prediction over the contact. Until a nail has moved it stands.
+  [[nodiscard]] ContactLaw contact_law(double room_m) const noexcept;
   /// How far past the head the reference should go for the nail to move by `wanted_m` in the next blow.
   [[nodiscard]] double follow_through_for(double wanted_m) const noexcept;
 
@@ -49,6 +51,7 @@ class StrikeEstimator {
   double s1_ = 0.0, sd_ = 0.0, sdd_ = 0.0, sr_ = 0.0, sdr_ = 0.0;
   // penetration = follow-through + offset
   double offset_m_ = 0.0;
+  bool nail_moved_ = false;  // in the last blow
   bool has_offset_ = false;
 };
 

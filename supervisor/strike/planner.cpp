@@ -798,10 +798,10 @@ StrikePlan Planner::plan() {
 
   Blow& blow = blows[chosen];
   weigh(blow, blow.speed_m_s / blow.wanted_speed_m_s);  // the selections below are of this pose
-  detail(blow);
-  explain_selections(blow, plan);
   plan.q_impact = blow.pose.q;
   plan.qd_impact = blow.qd;
+  detail(blow);
+  explain_selections(blow, plan);
   plan.head_position_m = request_.head_position_m;
   plan.board_distance_m = request_.board_distance_m;
   plan.normal = request_.normal;
@@ -822,6 +822,10 @@ StrikePlan Planner::plan() {
   plan.measure = request_.measure;
   plan.measure_value = blow.measure;
   time_the_switch(blow, plan);
+  if (request_.formulation == Formulation::corrected) {
+    plan.blow = predict(StrikeArm(robot_), predict_input(plan, request_.contact), PredictionModel::resolved);
+    if (plan.blow.feasible && plan.blow.approaching) plan.impulse_n_s = plan.blow.impulse_n_s;
+  }
 
   std::vector<std::size_t> listed = order;
   for (std::size_t k = 0; k < blows.size(); ++k) {

@@ -40,6 +40,7 @@ struct PlanInput {
   double nail_mass_kg = std::numeric_limits<double>::infinity();  ///< M*, > 0, infinite: rigid
   double contact_duration_s = 0.05;                               ///< t_s, > 0
   double follow_through_m = 0.005;                                ///< how far past the head the reference goes, >= 0
+  ContactLaw contact;  ///< rubber and nail as far as they are known, for the prediction over the contact
   PassiveMode mode = PassiveMode::planned;
   std::optional<std::uint32_t> passive;  ///< this selection and no other, bit i = joint i; `mode` is then not looked at
   Formulation formulation = Formulation::corrected;
@@ -113,6 +114,7 @@ struct StrikePlan {
   std::array<JointLoad, kMaxJoints> loads{};
   ImpactPrediction prediction;     ///< as planned
   double impulse_n_s = 0.0;        ///< predicted, as planned: of the instant, and what the weight presses meanwhile
+  Prediction blow;                 ///< of the resolved model, as planned; not feasible with `as_printed`
   double weight_force_n = 0.0;     ///< of passive joints, on the nail along -normal while the contact lasts
   double effective_mass_kg = 0.0;  ///< 1/(n^T W n), as planned
   StrikeMeasure measure = StrikeMeasure::load_ratio;

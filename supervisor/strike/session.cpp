@@ -108,6 +108,7 @@ PlanInput HammerSession::next_request() const {
   request.restitution = estimator_.restitution();
   request.nail_mass_kg = estimator_.nail_mass_kg();
   request.contact_duration_s = estimator_.contact_duration_s();
+  request.contact = estimator_.contact_law(head_height_m_);
   request.follow_through_m = estimator_.follow_through_for(std::min(head_height_m_, options_.largest_step_m));
   request.mode = options_.mode;
   request.formulation = options_.formulation;
