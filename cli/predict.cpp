@@ -149,7 +149,7 @@ int run_predict(const PredictArguments& a) {
                                            1e3 * in.contact_s)
                              : fmt::format("on {}, nail {:.1f} mm proud", a.board, 1e3 * height_m));
   fmt::print(
-      "  model        impulse  contact  peak force  deeper  speed before, after  eff. mass\n"
+      "  model        impulse  contact  peak force  deeper  speed before, after  mass\n"
       "               N s      ms       N           mm      m/s                  kg\n");
   for (const auto& [model, p] : made) {
     if (!p.feasible) {
@@ -169,13 +169,13 @@ int run_predict(const PredictArguments& a) {
     }
     fmt::print(
         "\nJoints, {} (impulse: of the blow; all: with what was carried before)\n"
-        "  joint      q       q'      jump of q'  impulse  all      peak torque  of rep.peak\n"
-        "             rad     rad/s   rad/s       N m s    N m s    N m          %\n",
+        "  joint     q      q'     jump of q'  impulse  all      peak    of rep.peak\n"
+        "            rad    rad/s  rad/s       N m s    N m s    N m     %\n",
         sup::describe(model));
     for (int i = 0; i < robot.dof(); ++i) {
       const JointDescription& joint = robot.joints[static_cast<std::size_t>(i)];
-      fmt::print("  {:<9} {:>6.3f} {:>7.3f} {:>9.3f} {:>11.4f} {:>8.4f} {:>9.2f} {:>9.0f}  {}\n", joint.name, in.q[i],
-                 in.qd[i], shown(p.delta_qd[i], 5e-4), shown(p.blow_impulse_nm_s[i], 5e-5),
+      fmt::print("  {:<8} {:>6.3f} {:>6.3f} {:>7.3f} {:>11.4f} {:>8.4f} {:>7.2f} {:>7.0f}     {}\n", joint.name,
+                 in.q[i], in.qd[i], shown(p.delta_qd[i], 5e-4), shown(p.blow_impulse_nm_s[i], 5e-5),
                  shown(p.axis_impulse_nm_s[i], 5e-5), p.peak_torque_nm[i],
                  100.0 * p.peak_torque_nm[i] / joint.transmission.repeated_peak_nm,
                  hold_name(in.joints[static_cast<std::size_t>(i)]));
