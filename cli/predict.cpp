@@ -174,8 +174,8 @@ int run_predict(const PredictArguments& a) {
         sup::describe(model));
     for (int i = 0; i < robot.dof(); ++i) {
       const JointDescription& joint = robot.joints[static_cast<std::size_t>(i)];
-      fmt::print("  {:<8} {:>6.3f} {:>6.3f} {:>7.3f} {:>11.4f} {:>8.4f} {:>7.2f} {:>6.0f}  {}\n", joint.name,
-                 in.q[i], in.qd[i], shown(p.delta_qd[i], 5e-4), shown(p.blow_impulse_nm_s[i], 5e-5),
+      fmt::print("  {:<8} {:>6.3f} {:>6.3f} {:>7.3f} {:>11.4f} {:>8.4f} {:>7.2f} {:>6.0f}  {}\n", joint.name, in.q[i],
+                 in.qd[i], shown(p.delta_qd[i], 5e-4), shown(p.blow_impulse_nm_s[i], 5e-5),
                  shown(p.axis_impulse_nm_s[i], 5e-5), p.peak_torque_nm[i],
                  100.0 * p.peak_torque_nm[i] / joint.transmission.repeated_peak_nm,
                  hold_name(in.joints[static_cast<std::size_t>(i)]));
