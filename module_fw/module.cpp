@@ -249,6 +249,7 @@ void Module::apply_parameters() noexcept {
   c.selection_bit = od_.selection_bit;
   const Duration knot_period = microseconds(od_.knot_period_us);
   const bool new_period = knot_period != c.knot_period;
+  const bool new_bit = c.selection_bit != config_.selection_bit;
   c.knot_period = knot_period;
   configuration_valid_ = usable_at_start_ && usable(c);
   if (!configuration_valid_) return;
@@ -260,7 +261,7 @@ void Module::apply_parameters() noexcept {
   selector_ = make_selector(c.passive, c.tick);
   drive_.configure(c.drive, c.limits);
   sensor_watch_.configure(c);
-  selection_ = SelectionSwitch(c.selection_bit);
+  if (new_bit) selection_ = SelectionSwitch(c.selection_bit);  // otherwise what it acknowledged still stands
   homing_.configure(c.homing);
   if (new_period) pll_ = SyncPll(knot_period);
 }

@@ -230,6 +230,8 @@ const char* describe(CommandFailure failure) noexcept {
       return "the joint refused";
     case CommandFailure::not_following:
       return "a joint stopped following its set points";
+    case CommandFailure::joint_refused:
+      return "a joint must not be used";
   }
   return "?";
 }
@@ -669,6 +671,15 @@ void Supervisor::end_command_of(CommandKind kind, CommandFailure failure) noexce
   if (command_status_.kind == kind) end_command(failure);
 }
 
+// All others follow: nothing is to be waited for.
+bool Supervisor::only_refused_are_missing() const noexcept {
+  std::uint32_t refused = 0;
+  for (int i = 0; i < dof_; ++i) {
+    if (nodes_[at(i)].stage() == NodeStage::refused) refused |= 1U << static_cast<unsigned>(i);
+  }
+  return refused != 0 && all_follow(refused);
+}
+
 void Supervisor::advance_command() noexcept {
   if (command_status_.state != CommandState::running) return;
   const Duration since = now_ - command_status_.since;
@@ -679,7 +690,11 @@ void Supervisor::advance_command() noexcept {
     case CommandKind::passive:
       return;  // ended where they happen
     case CommandKind::enable:
-      if (activity_ == Activity::holding) end_command(CommandFailure::none);
+      if (activity_ == Activity::holding) {
+        end_command(CommandFailure::none);
+      } else if (only_refused_are_missing()) {
+        end_command(CommandFailure::joint_refused);
+      }
       break;
     case CommandKind::active:
       if (nodes_[at(command_status_.joint)].measured().follows_knots()) {
@@ -689,11 +704,14 @@ void Supervisor::advance_command() noexcept {
       break;
     case CommandKind::disable: {
       if (activity_ != Activity::disabled) break;
+      bool waiting = false;
       for (int i = 0; i < dof_; ++i) {
+        // One that is lost cannot be asked: it brakes by its own watchdog.
+        if (nodes_[at(i)].stage() == NodeStage::lost || nodes_[at(i)].stage() == NodeStage::absent) continue;
         const NodeMeasurement& measured = nodes_[at(i)].measured();
-        if (measured.valid && is_powered(measured.statusword)) return;
+        if (measured.valid && is_powered(measured.statusword)) waiting = true;
       }
-      end_command(CommandFailure::none);
+      if (!waiting) end_command(CommandFailure::none);
       break;
     }
     case CommandKind::stop:

@@ -148,6 +148,7 @@ enum class CommandFailure : std::uint8_t {
   homing_failed,
   refused_by_joint,
   not_following,
+  joint_refused,  ///< it must not be used: another protocol or configuration
 };
 [[nodiscard]] const char* describe(CommandFailure failure) noexcept;
 
@@ -234,6 +235,7 @@ class Supervisor final : public RobotPort {
   void end_command(CommandFailure failure) noexcept;
   void end_command_of(CommandKind kind, CommandFailure failure) noexcept;
   void advance_command() noexcept;
+  [[nodiscard]] bool only_refused_are_missing() const noexcept;
   void advance_homing() noexcept;
   void advance_let_go() noexcept;
   void take_back() noexcept;

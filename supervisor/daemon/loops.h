@@ -68,6 +68,10 @@ class LockstepLoop {
  public:
   /// Throws can::CanError.
   LockstepLoop(Cycle& cycle, SocketBus& bus, const std::string& plant);
+  /// Leaves, unless that was done with the last tick: the plant waits for nobody who is gone.
+  ~LockstepLoop() { link_.leave(); }
+  LockstepLoop(const LockstepLoop&) = delete;
+  LockstepLoop& operator=(const LockstepLoop&) = delete;
 
   /// One tick of the plant with everything that belongs to it; waits for it up to `timeout`. `leaving`: the plant shall
   /// go on without. Throws DescriptionError if the plant is no lockstep plant.

@@ -112,6 +112,12 @@ Json percentiles(const LatencyHistogram& histogram) {
   return {{"p50", s.p50_us}, {"p99", s.p99_us}, {"p999", s.p999_us}, {"max", s.max_us}};
 }
 
+/// The joints say more about it.
+bool of_a_joint(CommandFailure failure) noexcept {
+  return failure == CommandFailure::timed_out || failure == CommandFailure::joint_fault ||
+         failure == CommandFailure::joint_refused;
+}
+
 bool moves(Activity activity) noexcept {
   switch (activity) {
     case Activity::approaching:
@@ -554,7 +560,7 @@ Json Service::status() {
   Json command = nullptr;
   if (last.number > 0) {
     std::string reason = last.state == CommandState::failed ? describe(last.failure) : "";
-    if (last.failure == CommandFailure::timed_out || last.failure == CommandFailure::joint_fault) {
+    if (of_a_joint(last.failure)) {
       reason = fmt::format("{}: {}", reason, why_not_ready());
     }
     command = {
@@ -665,7 +671,7 @@ void Service::take_events() {
         const auto failure = static_cast<CommandFailure>(event.detail);
         const bool done = failure == CommandFailure::none;
         text = fmt::format("command {}: {}", event.value, describe(failure));
-        if (failure == CommandFailure::timed_out || failure == CommandFailure::joint_fault) {
+        if (of_a_joint(failure)) {
           text = fmt::format("{}: {}", text, why_not_ready());
         }
         level = done ? spdlog::level::debug : spdlog::level::warn;

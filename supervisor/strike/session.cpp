@@ -75,11 +75,12 @@ void HammerSession::finish(Verdict verdict, std::string reason) {
   state_ = SessionState::done;
 }
 
-std::string HammerSession::bring_up_report() const {
+std::string HammerSession::bring_up_report(bool refused_only) const {
   std::string text;
   for (int i = 0; i < robot_.dof(); ++i) {
     const NodeReport node = port_.report(i);
     if (node.stage == NodeStage::enabled && node.measured.follows_knots()) continue;
+    if (refused_only && node.stage != NodeStage::refused) continue;
     const JointDescription& joint = robot_.joints[static_cast<std::size_t>(i)];
     if (!text.empty()) text += "; ";
     if (node.stage == NodeStage::enabled) {
@@ -214,6 +215,8 @@ bool HammerSession::step(Time now) {
       }
       if (port_.activity() == Activity::holding) {
         state_ = SessionState::planning;
+      } else if (const std::string refused = bring_up_report(true); !refused.empty()) {
+        finish(Verdict::not_ready, refused);  // time does not change that
       } else if (now - started_at_ > options_.bring_up_timeout) {
         finish(Verdict::not_ready, fmt::format("bring-up did not end within {:.0f} s: {}",
                                                options_.bring_up_timeout.seconds(), bring_up_report()));

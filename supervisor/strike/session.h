@@ -73,7 +73,7 @@ class HammerSession {
   void plan_next();
   void learn();
   [[nodiscard]] PlanInput next_request() const;
-  [[nodiscard]] std::string bring_up_report() const;
+  [[nodiscard]] std::string bring_up_report(bool refused_only = false) const;
 
   const RobotDescription& robot_;
   RobotPort& port_;

@@ -1,6 +1,7 @@
 """mrr_supervisor as a process on vcan, with three modules and the emulator in lockstep: bring-up, commands, faults, what
 happens when somebody is killed, and the RPC socket as strangers and careless clients find it."""
 
+import functools
 import json
 import os
 import signal
@@ -9,17 +10,28 @@ import stat
 import subprocess
 import time
 
+import jsonschema
 import pytest
 
-from conftest import ROBOT, program, wait_until
+from conftest import ROBOT, ROOT, program, wait_until
 
 SUPERVISOR = "supervisor/daemon/mrr_supervisor"
 
 
-class Rpc:
-    """A plain JSON-RPC client of its own, so that a mistake of ours at both ends shows."""
+@functools.cache
+def schema(name):
+    """A validator of one definition in docs/rpc.schema.json."""
+    whole = json.loads((ROOT / "docs" / "rpc.schema.json").read_text())
+    assert name in whole["$defs"], f"docs/rpc.schema.json has no {name}"
+    return jsonschema.Draft202012Validator({"$ref": f"#/$defs/{name}", "$defs": whole["$defs"]})
 
-    def __init__(self, path):
+
+class Rpc:
+    """A plain JSON-RPC client of its own, so that a mistake of ours at both ends shows. What mrr_supervisor says is held
+    against docs/rpc.schema.json (`checked`)."""
+
+    def __init__(self, path, checked=True):
+        self.checked = checked
         end = time.monotonic() + 10
         while True:  # the file is there a moment before somebody listens, or was left by one that was killed
             self.socket = socket.socket(socket.AF_UNIX)
@@ -43,6 +55,8 @@ class Rpc:
             message = json.loads(self.file.readline())
             if not isinstance(message, dict) or message.get("method") != "event":
                 return message
+            if self.checked:
+                schema("event").validate(message["params"])
             self.events.append(message["params"])
 
     def call(self, method, **params):
@@ -56,6 +70,9 @@ class Rpc:
     def get(self, method, **params):
         answer = self.call(method, **params)
         assert "result" in answer, answer["error"]["message"]
+        if self.checked:
+            schema(f"{method}_params").validate(params)
+            schema(f"{method}_result").validate(answer["result"])
         return answer["result"]
 
     def refused(self, method, **params):
@@ -73,7 +90,7 @@ class Rpc:
             assert time.monotonic() < end, f"waited {limit_s} s; {json.dumps(status, indent=1)}"
             time.sleep(0.02)
 
-    def command(self, method, limit_s=60.0, **params):
+    def command(self, method, limit_s=120.0, **params):
         """Runs a command to its end; the status then."""
         number = self.get(method, **params)["command"]
         status = self.wait(lambda s: s["command"]["number"] != number or s["command"]["state"] != "running", limit_s)
@@ -158,6 +175,21 @@ def test_a_hammer_job_drives_the_nail_flush_and_is_recorded(whole):
     assert status["bus"]["transmit_failures"] == 0 and status["bus"]["state"] == "up"
 
 
+def test_every_joint_of_the_example_finds_its_switch(whole):
+    """From where the robot starts, one after the other and each back to where it was: nothing may be in the way."""
+    rpc = whole.rpc
+    plant = Rpc(whole.robot.folder / "plant.sock", checked=False)
+    status = rpc.done("enable")
+    start = [j["position_rad"] for j in status["joints"]]
+    for number, (switch, tolerance) in {3: (2.3, 0.02), 2: (2.1, 0.02), 1: (-2.8, 0.02)}.items():
+        status = rpc.done("home", joint=number)
+        assert joint(status, number)["homed"] and all(j["fault"] is None for j in status["joints"])
+        assert joint(status, number)["position_rad"] == pytest.approx(switch, abs=tolerance)
+        assert plant.get("truth")["contacts"] == 0, f"joint {number} met something on its way"
+        rpc.wait(lambda s: s["activity"] == "holding")
+        rpc.done("move", positions_rad=start, speed=0.8)
+
+
 def test_stop_ends_a_job(whole):
     rpc = whole.rpc
     rpc.get("hammer")
@@ -235,7 +267,23 @@ def test_sigterm_lets_go_of_the_joints_and_removes_the_socket(whole):
     whole.supervisor.stop()
     assert time.monotonic() - began < 5
     assert not whole.socket.exists()
-    assert "let go of" in whole.supervisor.text()
+    assert "the joints are let go of" in whole.supervisor.text()
+    plant = Rpc(whole.robot.folder / "plant.sock", checked=False)
+    before = plant.get("truth")["ticks"]
+    wait_until(lambda: plant.get("truth")["ticks"] > before, what="the plant to go on without the supervisor")
+    assert "supervisor leaves in order" in whole.plant.text() and "left out" not in whole.plant.text()
+
+
+def test_sigterm_does_not_wait_for_a_joint_that_is_gone(whole):
+    whole.rpc.done("enable")
+    victim = whole.modules.pop(3)
+    victim.popen.kill()
+    victim.popen.wait()
+    whole.robot.processes.remove(victim)
+    whole.rpc.wait(lambda s: joint(s, 3)["stage"] == "lost")
+    began = time.monotonic()
+    whole.supervisor.stop()
+    assert time.monotonic() - began < 3
 
 
 def test_another_configuration_is_refused_by_name(fresh_robot, tmp_path):
@@ -250,9 +298,16 @@ def test_another_configuration_is_refused_by_name(fresh_robot, tmp_path):
     whole = Whole(fresh_robot, supervisor_robot=changed).ticking()
     status = whole.rpc.wait(lambda s: joint(s, 1)["stage"] == "refused" and joint(s, 2)["stage"] == "idle")
     assert "configuration" in joint(status, 1)["problem"]
+    began_s = whole.rpc.get("status")["time_s"]
     status = whole.rpc.command("enable")
     assert status["command"]["state"] == "failed" and "joint_1" in status["command"]["reason"]
+    assert "joint_2" not in status["command"]["reason"] and status["time_s"] - began_s < 2, "it waited for what cannot be"
     assert joint(status, 1)["stage"] == "refused" and joint(status, 2)["stage"] == "enabled"
+    whole.rpc.get("hammer")
+    status = whole.rpc.wait(lambda s: s["job"]["state"] == "done")
+    job = whole.rpc.get("job")
+    assert job["verdict"] == "not_ready" and "joint_1" in job["reason"] and "configuration" in job["reason"]
+    assert job["ended_s"] - job["began_s"] < 1
 
 
 def test_the_socket_is_private_and_survives_careless_clients(whole):

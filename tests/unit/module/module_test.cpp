@@ -3,6 +3,8 @@
 
 #include <gtest/gtest.h>
 
+#include <bit>
+
 #include <cmath>
 
 #include "tests/unit/module/module_bench.h"
@@ -265,6 +267,29 @@ TEST(Module, CancelWithdrawsAndARepetitionHasNoEffect) {
   b.select(can::SelectionAction::now, false, 6);  // repetition of 6
   b.run(0.01);
   EXPECT_EQ(b.status().law, Law::active);
+}
+
+TEST(Module, AParameterWrittenInFaultLeavesWhatWasAcknowledged) {
+  ModuleBench b;
+  ASSERT_TRUE(b.enable());
+  ASSERT_TRUE(b.follow_here());
+  b.select(can::SelectionAction::now, false, 9);
+  b.run(0.01);
+  b.select(can::SelectionAction::now, true, 10);
+  b.run(0.01);
+  b.spoil = [](RawSensors& raw) { raw.fresh = static_cast<std::uint8_t>(raw.fresh & ~unsigned{kFreshEncoder}); };
+  ASSERT_TRUE(b.run_until([&] { return b.status().state == DriveState::fault; }, 0.5));
+  ASSERT_EQ(can::acknowledged_sequence(b.status().selection_acknowledged), 10);
+  b.write(0x2100, 4, std::bit_cast<std::uint32_t>(0.9F), 4);
+  ASSERT_EQ(b.module.objects().control_friction_feedforward, 0.9F);
+  b.spoil = nullptr;
+  b.run(0.01);
+  b.command(0x00);
+  b.run(0.01);
+  b.command(0x80);
+  b.run(0.01);
+  ASSERT_EQ(b.status().state, DriveState::switch_on_disabled);
+  EXPECT_EQ(can::acknowledged_sequence(b.status().selection_acknowledged), 10);
 }
 
 TEST(Module, SelectionIsRefusedUnlessTheJointIsUnderControl) {
