@@ -34,6 +34,7 @@ struct HammerArguments {
   std::string board = "styrofoam";
   std::string out = "out";
   std::uint64_t seed = 1;
+  double boot_delay_ms = 100.0;
   int swings = 0;
   std::string mode = "planned";
   bool as_printed = false;
@@ -142,6 +143,7 @@ Job run_on_one_clock(const HammerArguments& arguments) {
 
   sim::HammerJobOptions options;
   options.world.seed = arguments.seed;
+  options.world.max_boot_delay = seconds(arguments.boot_delay_ms * 1e-3);
   options.session.seed = arguments.seed;
   options.session.max_swings = arguments.swings;
   options.session.mode = passive_mode(arguments.mode);
@@ -259,6 +261,13 @@ void add_hammer_command(CLI::App& app, int& status) {
                            ->capture_default_str();
   CLI::Option* seed = command->add_option("--seed", arguments->seed, "Noise, clocks and tolerances; 0: all nominal");
   seed->capture_default_str()->check(whole_number)->type_name("N");
+  CLI::Option* boot_delay = command
+                                ->add_option("--boot-delay", arguments->boot_delay_ms,
+                                             "Modules start within so many ms, drawn by the seed; it shifts the phase "
+                                             "of their ticks. 0: all together")
+                                ->type_name("MS")
+                                ->check(CLI::Range(0.0, 5000.0))
+                                ->capture_default_str();
   command->add_option("--out", arguments->out, "Folder for the report and the recordings")
       ->type_name("DIR")
       ->capture_default_str();
@@ -287,8 +296,9 @@ void add_hammer_command(CLI::App& app, int& status) {
       ->needs(bus);
   // Which board there is is the matter of the robot's surroundings, not of this command.
   bus->excludes(board);
+  bus->excludes(boot_delay);
   // The experiment has boards, modes and swings of its own.
-  for (CLI::Option* option : {board, swings, mode, as_printed, bus}) experiment->excludes(option);
+  for (CLI::Option* option : {board, swings, mode, as_printed, bus, boot_delay}) experiment->excludes(option);
   command->add_flag("--json", arguments->json, "Print one JSON object (docs/result.schema.json) and nothing else");
   command->add_flag("--no-report", arguments->no_report, "Do not make report.html");
   command->callback([arguments, seed, robot, &status] {
