@@ -98,7 +98,7 @@ Complaint first_complaint(const StrikeArm& arm, const PredictInput& in, Predicti
     if (!(d.torque_limit_nm[0] > 0.0 && d.torque_limit_nm[1] > 0.0))
       return {"torque_limit_nm", d.torque_limit_nm[0], "Nm must be above 0 either way", i};
     if (!(d.presliding_rad > 1e-6 && d.blend_s > 0.0 && d.still_velocity_rad_s > 0.0 && d.damping_nm_s_rad >= 0.0 &&
-          d.sensed_full_trend_nm > 0.0 && d.stop_deceleration_rad_s2 > 0.0 && d.return_speed_rad_s > 0.0 &&
+          d.sensed_trend_nm > 0.0 && d.stop_deceleration_rad_s2 > 0.0 && d.return_speed_rad_s > 0.0 &&
           d.return_acceleration_rad_s2 > 0.0 && d.current_bandwidth_hz > 0.0 && d.sensor_bandwidth_hz > 0.0))
       return {"presliding_rad", d.presliding_rad, "rad and the other times and rates of a drive must be above 0", i};
     const CompensatorDescription& c = d.compensator;
@@ -148,8 +148,11 @@ StrikeArm::StrikeArm(const RobotDescription& robot)
     d.compensator = j.control.compensator;
     d.friction = j.friction;
     d.compensation_nm = std::min(j.control.passive_compensation * j.friction.static_nm, 0.89 * j.friction.coulomb_nm);
+    if (j.friction.coulomb_nm > 0.0) {
+      d.static_compensation_nm = d.compensation_nm * j.friction.static_nm / j.friction.coulomb_nm;
+    }
     d.sensed_dead_band_nm = std::max(1.0, 6.0 * j.sensors.torque_noise_nm + 0.5);
-    d.sensed_full_trend_nm = std::max(1.0, d.compensation_nm);
+    d.sensed_trend_nm = 1.5 * d.sensed_dead_band_nm;
     d.blend_s = j.control.passive_blend_s;
     d.resume_slew_nm_s = j.control.resume_torque_slew_nm_s;
     d.stop_deceleration_rad_s2 = j.stop_deceleration_rad_s2();

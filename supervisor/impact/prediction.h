@@ -46,11 +46,12 @@ struct JointDrive {
   double still_velocity_rad_s = 0.01;  ///< slower: friction is fed forward in the direction of the reference
   CompensatorDescription compensator;
   FrictionDescription friction;
-  double presliding_rad = 3e-4;       ///< elastic give of friction before it slides
-  double compensation_nm = 0.0;       ///< f_m of the passive law
-  double sensed_dead_band_nm = 1.0;   ///< at rest a sensed torque below it tells no trend
-  double sensed_full_trend_nm = 4.0;  ///< ... and this much beyond tells all of it
-  double blend_s = 0.003;             ///< active torque fades into passive torque
+  double presliding_rad = 3e-4;         ///< elastic give of friction before it slides
+  double compensation_nm = 0.0;         ///< f_m of the passive law in motion
+  double static_compensation_nm = 0.0;  ///< ... and at rest
+  double sensed_dead_band_nm = 1.0;     ///< at rest a trend lasts until the sensed torque is below it
+  double sensed_trend_nm = 1.5;         ///< ... and begins above this
+  double blend_s = 0.003;               ///< active torque fades into passive torque
   double resume_slew_nm_s = 2000.0;
   double stop_deceleration_rad_s2 = 10.0;
   double return_speed_rad_s = 0.8;  ///< of the unhurried way back

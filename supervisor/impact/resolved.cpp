@@ -23,6 +23,8 @@ constexpr double kReferenceStill_rad_s = 2e-3;
 constexpr double kVelocityMargin_rad_s = 0.15;
 constexpr double kLeash_rad = 0.008;
 constexpr double kTrendRate_1_s = 60.0;
+constexpr double kTrendRateAtRest_1_s = 10.0;
+constexpr double kPullFilter_rad_s = 30.0;
 constexpr double kTrendStill_rad_s = 0.02;
 constexpr double kTrendMoving_rad_s = 0.05;
 // And the supervisor's.
@@ -100,7 +102,8 @@ struct Joint {
   bool saturated = false;
   bool passive = false;
   double trend = 0.0, blend_left_s = 0.0, blend_from = 0.0, blend_to = 0.0;
-  bool own_reference = false;  // it has been called back
+  double pull = 0.0, pulled = 0.0;  // sensed torque as the motor feels it, filtered; the way it pulls: -1, 0, 1
+  bool own_reference = false;       // it has been called back
   bool catching_up = false;
   double reference_q = 0.0, reference_v = 0.0;
   double at_start = 0.0, sum = 0.0, peak = 0.0;  // of the contact
@@ -119,6 +122,7 @@ class Blow {
   void expect(double t) noexcept;
   void control(double t) noexcept;
   double active_torque(int i, const Scalar& s, double t) noexcept;
+  double passive_torque(int i, bool begins) noexcept;
   void supervise(double t) noexcept;
   void resume(double t) noexcept;
   [[nodiscard]] bool sinking() const noexcept;
@@ -141,7 +145,7 @@ class Blow {
   JointVector q_, v_, accel_;  // links
   std::array<Joint, kMaxJoints> joint_{};
   double h_ = kLongestStep_s;
-  double observer_pole_ = 0.0;
+  double observer_pole_ = 0.0, pull_gain_ = 0.0;
   std::array<double, kMaxJoints> current_keep_{}, sensor_keep_{};
   // Of the pose last looked at.
   JointVector pose_q_, lever_, bias_;
@@ -407,6 +411,35 @@ double Blow::active_torque(int i, const Scalar& s, double t) noexcept {
   return torque;
 }
 
+/// The passive law (20): a share of friction along the trend, which follows motion, and at rest the sensed torque.
+double Blow::passive_torque(int i, bool begins) noexcept {
+  const JointDrive& d = arm_.drive[at(i)];
+  Joint& j = joint_[at(i)];
+  const double pull = d.torque_sensor ? -j.sensed : 0.0;
+  const bool strong = std::abs(pull) > d.sensed_trend_nm + d.static_compensation_nm;
+  j.pull = begins || strong ? pull : j.pull + pull_gain_ * (pull - j.pull);
+  const double seen_v = j.seen_v / arm_.tick_s;
+  const double moves =
+      std::clamp((std::abs(seen_v) - kTrendStill_rad_s) / (kTrendMoving_rad_s - kTrendStill_rad_s), 0.0, 1.0);
+  if (begins) j.pulled = 0.0;
+  if (std::abs(j.pull) >= d.sensed_trend_nm) {
+    j.pulled = sign(j.pull);
+  } else if (!(j.pull * j.pulled > d.sensed_dead_band_nm)) {
+    j.pulled = 0.0;
+  }
+  const double wanted = moves * sign(seen_v) + (1.0 - moves) * j.pulled;
+  if (begins) {
+    j.trend = wanted;
+  } else {
+    const double missing = wanted - j.trend;
+    const bool turned = moves > 0.0 && missing * j.trend < 0.0;
+    const double slow = kTrendRateAtRest_1_s + moves * (kTrendRate_1_s - kTrendRateAtRest_1_s);
+    const double most = (strong || turned ? kTrendRate_1_s : slow) * arm_.tick_s;
+    j.trend += std::clamp(missing, -most, most);
+  }
+  return (d.static_compensation_nm + moves * (d.compensation_nm - d.static_compensation_nm)) * j.trend;
+}
+
 /// One tick of every joint's loop.
 void Blow::control(double t) noexcept {
   const Scalar s = reference(t);
@@ -420,17 +453,10 @@ void Blow::control(double t) noexcept {
     j.seen_rest = pole * pole * ahead;
     j.seen_v -= (1.0 - pole) * (1.0 - pole) * ahead;
 
-    const double seen_v = j.seen_v / arm_.tick_s;
-    const double speed =
-        std::clamp((std::abs(seen_v) - kTrendStill_rad_s) / (kTrendMoving_rad_s - kTrendStill_rad_s), 0.0, 1.0);
-    const double load = std::abs(j.sensed) - d.sensed_dead_band_nm;
-    const double certain = d.torque_sensor ? std::clamp(load / d.sensed_full_trend_nm, 0.0, 1.0) : 0.0;
-    const double trend = speed * sign(seen_v) - (1.0 - speed) * certain * sign(j.sensed);
     if (let_go && is_passive(i) && !j.passive) {
       j.passive = true;
-      j.trend = trend;
       j.blend_from = j.command;
-      j.blend_to = d.compensation_nm * trend;
+      j.blend_to = passive_torque(i, true);
       j.blend_left_s = d.blend_s;
     }
     double wanted = 0.0;
@@ -439,9 +465,7 @@ void Blow::control(double t) noexcept {
         j.blend_left_s -= arm_.tick_s;
         wanted = j.blend_to + (j.blend_from - j.blend_to) * std::max(j.blend_left_s, 0.0) / d.blend_s;
       } else {
-        const double most = kTrendRate_1_s * arm_.tick_s;
-        j.trend += std::clamp(trend - j.trend, -most, most);
-        wanted = d.compensation_nm * j.trend;
+        wanted = passive_torque(i, false);
       }
     } else {
       wanted = active_torque(i, s, t);
@@ -593,6 +617,7 @@ Prediction Blow::run() noexcept {
   const double from = -std::ceil(std::min(before, kEarliest_s) / arm_.knot_s) * arm_.knot_s;
   switch_s_ = -in_.switch_lead_s;
   observer_pole_ = std::exp(-kObserver_1_s * arm_.tick_s);
+  pull_gain_ = 1.0 - std::exp(-kPullFilter_rad_s * arm_.tick_s);
   start(from);
   const int per_tick = static_cast<int>(std::lround(arm_.tick_s / h_));
   const int per_pose = std::max(1, static_cast<int>(std::lround(arm_.knot_s / arm_.tick_s)));
