@@ -387,6 +387,9 @@ void Module::sync(Time at, std::optional<std::uint8_t> counter) noexcept {
     knot.state.velocity_rad_s = static_cast<float>(od_.velocity_offset_urad_s) * 1e-6F;
     knot.state.acceleration_rad_s2 = static_cast<float>(od_.target_acceleration_mrad_s2) * 1e-3F;
     knot.sequence = od_.knot_sequence;
+    // It came for an earlier SYNC, which was lost: on the way meanwhile, as it says itself.
+    const std::int64_t late = (at - model_torque_at_ + Duration{period.ns / 2}) / period - 1;
+    if (late > 0) knot.state = carried_on(knot.state, short_seconds(period.ns) * static_cast<float>(late));
   } else {
     // Positions alone: the velocity is their difference.
     if (has_last_target_) {

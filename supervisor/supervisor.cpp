@@ -28,6 +28,8 @@ constexpr double kStillFast = 0.8;        // of the planned impact speed: what i
 constexpr double kLeastArm_m = 0.05;
 /// SYNCs between arming and the half turn of the SYNC counter.
 constexpr int kCounterMargin = 10;
+/// A SYNC goes out this part of its period late at the latest.
+constexpr std::int64_t kLatestSyncShare = 4;
 /// A joint that ignores its knots for this long is not doing what it is told.
 constexpr int kAstrayCycles = 3;
 /// A selection by hand that is not acknowledged by then is taken back.
@@ -785,7 +787,9 @@ JointTrajectory Supervisor::stopping_motion() const noexcept {
 
 bool Supervisor::sync_due() const noexcept {
   if (sync_ < 0) return step_count_ % steps_per_sync_ == 0 && may_sync();
-  return now_ >= knot_time(sync_ + 1);
+  if (now_ < knot_time(sync_ + 1)) return false;
+  // One that would come too late is left out: modules must not take it for the next one.
+  return (now_ - first_sync_) % sync_period_ <= Duration{sync_period_.ns / kLatestSyncShare};
 }
 
 void Supervisor::on_sync(can::TransmitQueue& tx) noexcept {

@@ -12,13 +12,12 @@ constexpr float kRestOffset = 1e-7F;
 // Position counts on the wire are microradians: two of them are rounding, not a jump.
 constexpr float kWireRounding = 3e-6F;
 
-// Constant acceleration over x seconds.
-MotionState carried_on(const MotionState& s, float x) noexcept {
-  return {s.position_rad + x * (s.velocity_rad_s + 0.5F * x * s.acceleration_rad_s2),
-          s.velocity_rad_s + x * s.acceleration_rad_s2, s.acceleration_rad_s2};
-}
-
 }  // namespace
+
+MotionState carried_on(const MotionState& s, float by_s) noexcept {
+  return {s.position_rad + by_s * (s.velocity_rad_s + 0.5F * by_s * s.acceleration_rad_s2),
+          s.velocity_rad_s + by_s * s.acceleration_rad_s2, s.acceleration_rad_s2};
+}
 
 Reference::Reference(const ReferenceConfig& config, const LimitsConfig& limits, float dt_s) noexcept
     : config_(config), limits_(limits), dt_s_(dt_s), offset_factor_(exp_negative(config.offset_decay_1_s * dt_s)) {}

@@ -16,6 +16,9 @@ struct Knot {
   std::uint16_t sequence = 0;
 };
 
+/// The motion `by_s` seconds on (or back), its acceleration constant.
+[[nodiscard]] MotionState carried_on(const MotionState& s, float by_s) noexcept;
+
 /// What became of a knot.
 enum class KnotVerdict : std::uint8_t {
   accepted,

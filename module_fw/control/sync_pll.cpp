@@ -39,19 +39,22 @@ SyncPll::Arrival SyncPll::on_sync(Time at) noexcept {
   const Time expected = predict(n);
   const std::int64_t error = (at - expected).ns;
   error_ = {error};
-  // Far out for several times running: the sender restarted with another phase.
+  // Far out once: the sender was late, the loop runs on by itself. Several times running: it began anew with another
+  // phase.
   if (error > period_.ns / 8 || error < -period_.ns / 8) {
-    good_ = 0;
-    if (++bad_ >= kBadToRestart) {
+    ++bad_;
+    if (bad_ >= kBadToUnlock) good_ = 0;
+    if (bad_ >= kBadToRestart) {
       reset();
       has_phase_ = true;
       phase_ = at;
       return {true, n};
     }
-  } else {
-    bad_ = 0;
-    if (good_ < kGoodToLock) ++good_;
+    phase_ = expected;
+    return {true, n};
   }
+  bad_ = 0;
+  if (good_ < kGoodToLock) ++good_;
   phase_ = expected + Duration{error / kPhaseDivisor};
   // A crystal is good to 100 ppm; 500 ppm is as far as the loop may be pulled.
   const std::int64_t bound = nominal_.ns * 256 / 2000;

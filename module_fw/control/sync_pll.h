@@ -40,6 +40,7 @@ class SyncPll {
   static constexpr std::int32_t kPhaseDivisor = 10;            // phase gain 1/10
   static constexpr std::int32_t kPeriodDivisor = 4 * 10 * 10;  // critically damped
   static constexpr std::int32_t kGoodToLock = 20;
+  static constexpr std::int32_t kBadToUnlock = 3;
   static constexpr std::int32_t kBadToRestart = 5;
   static constexpr std::int32_t kDoubleWeight = 8;  // a double is forgotten after so many periods
   static constexpr std::int32_t kDoublesToUnlock = 3 * kDoubleWeight;

@@ -12,6 +12,8 @@ import time
 
 import jsonschema
 import pytest
+import referencing
+import referencing.jsonschema
 
 from conftest import ROBOT, ROOT, program, wait_until
 
@@ -23,7 +25,10 @@ def schema(name):
     """A validator of one definition in docs/rpc.schema.json."""
     whole = json.loads((ROOT / "docs" / "rpc.schema.json").read_text())
     assert name in whole["$defs"], f"docs/rpc.schema.json has no {name}"
-    return jsonschema.Draft202012Validator({"$ref": f"#/$defs/{name}", "$defs": whole["$defs"]})
+    result = json.loads((ROOT / "docs" / "result.schema.json").read_text())
+    others = referencing.Registry().with_resource(
+        "result.schema.json", referencing.Resource.from_contents(result, referencing.jsonschema.DRAFT202012))
+    return jsonschema.Draft202012Validator({"$ref": f"#/$defs/{name}", "$defs": whole["$defs"]}, registry=others)
 
 
 class Rpc:

@@ -446,6 +446,20 @@ TEST(SyncPll, CountsLostSyncsAndIgnoresDoubles) {
   EXPECT_TRUE(pll.locked()) << "one frame delivered twice is no second sender";
 }
 
+TEST(SyncPll, ASenderThatIsLateNowAndThenMovesNothing) {
+  SyncPll pll(milliseconds(4));
+  Time t;
+  for (int k = 0; k < 200; ++k) {
+    const bool late = k > 50 && k % 5 < 2;  // two in a row
+    EXPECT_EQ(pll.on_sync(late ? t + milliseconds(1) : t).periods, 1);
+    t += milliseconds(4);
+    if (k > 50) {
+      EXPECT_TRUE(pll.locked()) << k;
+      EXPECT_EQ(pll.predict(1), t) << k;
+    }
+  }
+}
+
 TEST(SyncPll, FollowsNeitherOfTwoSenders) {
   SyncPll pll(milliseconds(4));
   Time t;
