@@ -13,7 +13,9 @@ can::CanSocket open(const std::string& interface, Participant self) {
   can::CanSocketOptions options;
   options.filters = std::span(filters).first(group_of(self) == 0 ? 1 : 2);
   options.fd = true;
-  return can::CanSocket::open(interface, options);
+  can::CanSocket socket = can::CanSocket::open(interface, options);
+  socket.use_kernel_times(true);
+  return socket;
 }
 
 /// A smaller key wins the wire: base identifier first, then standard before extended, then the rest.
@@ -24,9 +26,9 @@ std::uint64_t arbitration_key(const can::Frame& f) noexcept {
 
 }  // namespace
 
-std::span<const can::ReceivedFrame> TickInbox::take(Time limit, Time at) noexcept {
+std::span<const can::ReceivedFrame> TickInbox::take(Time limit, Time at, Time now) noexcept {
   taken_.clear();
-  while (!waiting_.empty() && waiting_.front().at <= limit) {
+  while (!waiting_.empty() && (waiting_.front().at <= limit || waiting_.front().at > now)) {
     // Insertion keeps the order of equal identifiers and needs no memory; a tick has few frames, nearly sorted.
     const std::uint64_t key = arbitration_key(waiting_.front().frame);
     (void)taken_.push_back({waiting_.front().frame, at});
@@ -120,8 +122,10 @@ std::optional<OwnTick> PlantLink::wait(Duration timeout) noexcept {
 }
 
 std::span<const can::ReceivedFrame> PlantLink::robot_frames(can::CanSocket& robot, const OwnTick& tick) noexcept {
+  // The cut compares the kernel's stamps themselves: no conversion can put two frames in another order.
+  robot.use_kernel_times(true);
   inbox_.fill(robot, tick.arrived);
-  return inbox_.take(tick.arrived, tick.now - tick.since_last);
+  return inbox_.take(tick.arrived, tick.now - tick.since_last, can::kernel_now());
 }
 
 void PlantLink::answer(const OwnTick& tick, const AnswerPayload& payload, bool leaving) noexcept {

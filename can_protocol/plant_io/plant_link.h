@@ -29,8 +29,9 @@ class TickInbox {
   }
   [[nodiscard]] std::size_t size() const noexcept { return waiting_.size(); }
   /// What arrived up to `limit`, in the order in which a wire would have arbitrated it (by identifier, else as it
-  /// came), all stamped `at`. Valid until the next call.
-  [[nodiscard]] std::span<const can::ReceivedFrame> take(Time limit, Time at) noexcept;
+  /// came), all stamped `at`. Valid until the next call. `now`, of the clock of `limit`: what claims to have arrived
+  /// later still was stamped before that clock was set back, and is taken.
+  [[nodiscard]] std::span<const can::ReceivedFrame> take(Time limit, Time at, Time now = Time{INT64_MAX}) noexcept;
   /// The same in order of arrival, with their own times of arrival: for free-running.
   [[nodiscard]] std::span<const can::ReceivedFrame> take_as_received(Time limit) noexcept;
   /// Reads `robot` until it is empty, or a frame beyond `limit` is there, or there is no room (the rest waits in the
@@ -51,7 +52,7 @@ struct OwnTick {
   bool ending = false;  ///< the plant stops after this one
   std::uint32_t number = 0;
   Block sensors{};  ///< of this joint; zero for the supervisor
-  Time arrived;     ///< CLOCK_MONOTONIC
+  Time arrived;     ///< the kernel's stamp, CLOCK_REALTIME
 };
 
 struct PlantLinkStatistics {

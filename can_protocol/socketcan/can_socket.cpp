@@ -9,12 +9,14 @@
 #include <sys/time.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <array>
 #include <cerrno>
 #include <cstring>
 #include <ctime>
 #include <utility>
 
+#include "can_protocol/socketcan/arrival.h"
 #include "can_protocol/socketcan/linux_frame.h"
 
 namespace mrr::can {
@@ -112,6 +114,7 @@ bool apply_filters(int fd, std::span<const CanFilter> filters) noexcept {
 }  // namespace
 
 Time monotonic_now() noexcept { return read_clock(CLOCK_MONOTONIC); }
+Time kernel_now() noexcept { return read_clock(CLOCK_REALTIME); }
 
 struct CanSocket::Impl {
   static constexpr std::size_t kControlBytes = CMSG_SPACE(sizeof(timespec)) + CMSG_SPACE(sizeof(std::uint32_t));
@@ -126,13 +129,14 @@ struct CanSocket::Impl {
       send_header[i].msg_hdr.msg_iov = &send_vector[i];
       send_header[i].msg_hdr.msg_iovlen = 1;
     }
-    offset = clock_offset();
+    clock.set(clock_offset());
   }
 
   Descriptor descriptor;
   std::string name;
-  Duration offset{};  ///< CLOCK_REALTIME + offset = CLOCK_MONOTONIC
-  Duration wait{};    ///< SO_RCVTIMEO in force
+  ArrivalClock clock;
+  Duration wait{};  ///< SO_RCVTIMEO in force
+  bool kernel_times = false;
   bool bus_off = false;
   bool link_down = false;
   CanSocketStatistics statistics;
@@ -146,7 +150,8 @@ struct CanSocket::Impl {
   std::array<mmsghdr, kBatch> send_header{};
 
   std::span<const ReceivedFrame> receive(int flags = MSG_DONTWAIT) noexcept;
-  Time arrival(msghdr& header) noexcept;
+  [[nodiscard]] Time look_at_clocks() noexcept;
+  Time arrival(msghdr& header, Time now) noexcept;
   void note_error_frame(const canfd_frame& frame) noexcept;
 };
 
@@ -184,16 +189,23 @@ CanSocket CanSocket::open(const std::string& interface, const CanSocketOptions& 
   return CanSocket(std::make_unique<Impl>(std::move(descriptor), interface));
 }
 
-Time CanSocket::Impl::arrival(msghdr& header) noexcept {
-  Time at{};
-  bool stamped = false;
+/// Now, on the clock of the arrival times. The offset between the clocks follows a step of the system's time.
+Time CanSocket::Impl::look_at_clocks() noexcept {
+  const Time real = kernel_now();
+  if (kernel_times) return real;
+  const Time now = monotonic_now();
+  if (clock.stepped(now, real)) clock.set(clock_offset());
+  return now;
+}
+
+Time CanSocket::Impl::arrival(msghdr& header, Time now) noexcept {
+  Time at = now;
   for (cmsghdr* c = CMSG_FIRSTHDR(&header); c != nullptr; c = CMSG_NXTHDR(&header, c)) {
     if (c->cmsg_level != SOL_SOCKET) continue;
     if (c->cmsg_type == SO_TIMESTAMPNS) {
       timespec t{};
       std::memcpy(&t, CMSG_DATA(c), sizeof t);
-      at = to_time(t) + offset;
-      stamped = true;
+      at = kernel_times ? std::min(to_time(t), now) : clock.arrival(to_time(t), now);
     } else if (c->cmsg_type == SO_RXQ_OVFL) {
       std::uint32_t lost = 0;
       std::memcpy(&lost, CMSG_DATA(c), sizeof lost);
@@ -202,7 +214,7 @@ Time CanSocket::Impl::arrival(msghdr& header) noexcept {
           static_cast<std::uint32_t>(lost - static_cast<std::uint32_t>(statistics.receive_overflow));
     }
   }
-  return stamped ? at : monotonic_now();
+  return at;
 }
 
 void CanSocket::Impl::note_error_frame(const canfd_frame& frame) noexcept {
@@ -233,8 +245,9 @@ std::span<const ReceivedFrame> CanSocket::Impl::receive(int flags) noexcept {
       break;
     }
     if (n == 0) break;
+    const Time now = look_at_clocks();
     for (std::size_t i = 0; i < static_cast<std::size_t>(n); ++i) {
-      const Time at = arrival(receive_header[i].msg_hdr);
+      const Time at = arrival(receive_header[i].msg_hdr, now);
       if ((received_raw[i].can_id & CAN_ERR_FLAG) != 0) {
         note_error_frame(received_raw[i]);
         continue;
@@ -302,7 +315,8 @@ void CanSocket::discard_received() noexcept {
   }
 }
 
-void CanSocket::measure_clock_offset() noexcept { impl_->offset = clock_offset(); }
+void CanSocket::measure_clock_offset() noexcept { impl_->clock.set(clock_offset()); }
+void CanSocket::use_kernel_times(bool on) noexcept { impl_->kernel_times = on; }
 int CanSocket::fd() const noexcept { return impl_->descriptor.get(); }
 const std::string& CanSocket::interface() const noexcept { return impl_->name; }
 bool CanSocket::bus_off() const noexcept { return impl_->bus_off; }

@@ -50,8 +50,8 @@ struct CanSocketStatistics {
 /// One raw CAN socket; no call but receive(timeout) ever waits. Everything is allocated by open(); nothing afterwards.
 ///
 /// Arrival times are the kernel's (SO_TIMESTAMPNS, CLOCK_REALTIME), converted to CLOCK_MONOTONIC with an offset that is
-/// measured at open() and by measure_clock_offset(), not in between: when the system's time is stepped, arrival times
-/// are off by as much until it is measured again.
+/// measured at open(), by measure_clock_offset(), and as soon as a batch of frames shows that the system's time was
+/// stepped. None is later than now.
 class CanSocket {
  public:
   static constexpr std::size_t kBatch = 64;  ///< frames per system call
@@ -63,7 +63,7 @@ class CanSocket {
   ~CanSocket();
 
   /// What has arrived, oldest first, at most kBatch frames; never waits. Empty: nothing is left. Valid until the next
-  /// call. `at` is CLOCK_MONOTONIC.
+  /// call. `at` is CLOCK_MONOTONIC, or as use_kernel_times() says.
   [[nodiscard]] std::span<const ReceivedFrame> receive() noexcept;
   /// As receive(), but waits up to `timeout` for the first frame (cheapest when it is always the same). Returns
   /// earlier, empty, when a signal comes.
@@ -81,6 +81,8 @@ class CanSocket {
   /// Drops everything that waits to be received.
   void discard_received() noexcept;
   void measure_clock_offset() noexcept;
+  /// `at` stays the kernel's stamp, CLOCK_REALTIME: for comparing frames of two sockets, exact to the nanosecond.
+  void use_kernel_times(bool on) noexcept;
 
   /// For poll: readable when frames wait.
   [[nodiscard]] int fd() const noexcept;
@@ -99,5 +101,7 @@ class CanSocket {
 
 /// CLOCK_MONOTONIC.
 [[nodiscard]] Time monotonic_now() noexcept;
+/// CLOCK_REALTIME, which the kernel stamps frames with; may be stepped.
+[[nodiscard]] Time kernel_now() noexcept;
 
 }  // namespace mrr::can

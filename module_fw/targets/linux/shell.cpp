@@ -220,6 +220,7 @@ Shell::Next Shell::run_on_clock(const volatile int& stop) {
   Time clock_checked = start;
   Time sampled = start;
   StaticVector<can::ReceivedFrame, plant_io::TickInbox::kCapacity> shifted;
+  can_.use_kernel_times(false);
   while (true) {
     scheduled += config_.tick;
     sleep_until(scheduled);

@@ -4,6 +4,7 @@
 #include <functional>
 
 #include "can_protocol/plant_io/plant_link.h"
+#include "can_protocol/socketcan/arrival.h"
 #include "can_protocol/socketcan/linux_frame.h"
 #include "common/core/random.h"
 #include "module_fw/targets/linux/joint_bytes.h"
@@ -209,6 +210,48 @@ TEST(TickInbox, FreeRunningKeepsOrderAndTimes) {
   ASSERT_EQ(taken.size(), 2U);
   EXPECT_EQ(taken[0].frame.id, 0x703U);
   EXPECT_EQ(taken[1].at, Time{6});
+}
+
+/// A frame stamped before the system's time was set back must neither wait for that time to come again nor hold up the
+/// frames behind it.
+TEST(TickInbox, AClockThatWasSetBackHoldsUpNothing) {
+  TickInbox inbox;
+  constexpr std::int64_t kHour = 3'600'000'000'000;
+  ASSERT_TRUE(inbox.push(arrived(0x080, kHour + 5)));
+  ASSERT_TRUE(inbox.push(arrived(0x181, 10)));
+  ASSERT_TRUE(inbox.push(arrived(0x182, 25)));
+  const auto first = inbox.take(Time{20}, Time{1}, Time{30});
+  ASSERT_EQ(first.size(), 2U);
+  EXPECT_EQ(first[0].frame.id, 0x080U);
+  EXPECT_EQ(first[1].frame.id, 0x181U);
+  EXPECT_EQ(inbox.take(Time{30}, Time{2}, Time{40}).size(), 1U);
+}
+
+TEST(ArrivalClock, FollowsAStepOfTheSystemsTimeEitherWay) {
+  const Time real = Time{} + seconds(1'000'000.0);
+  const Time now = Time{} + seconds(500.0);
+  for (const double by_s : {3600.0, 0.3, -0.3, -3600.0}) {
+    SCOPED_TRACE(by_s);
+    can::ArrivalClock clock;
+    clock.set(now - real);
+    EXPECT_FALSE(clock.stepped(now, real));
+    EXPECT_EQ(clock.arrival(real - milliseconds(2), now), now - milliseconds(2));
+    const Time real_after = real + seconds(by_s);
+    ASSERT_TRUE(clock.stepped(now, real_after));
+    clock.set(now - real_after);
+    EXPECT_FALSE(clock.stepped(now, real_after));
+    EXPECT_EQ(clock.arrival(real_after - milliseconds(1), now), now - milliseconds(1)) << "stamped after the step";
+    EXPECT_LE(clock.arrival(real - milliseconds(2), now), now) << "stamped before it";
+    EXPECT_GE(clock.arrival(real - milliseconds(2), now), now - can::ArrivalClock::kOld);
+  }
+}
+
+TEST(ArrivalClock, NothingArrivesInTheFutureAndWhatIsOldStaysOld) {
+  can::ArrivalClock clock;
+  clock.set(seconds(-100.0));
+  const Time now = Time{} + seconds(10.0);
+  EXPECT_EQ(clock.arrival(Time{} + seconds(110.5), now), now);
+  EXPECT_EQ(clock.arrival(Time{} + seconds(105.0), now), Time{} + seconds(5.0));
 }
 
 TEST(LinuxFrame, EveryFrameSurvivesTheWayThere) {
