@@ -1,5 +1,6 @@
 #include "supervisor/impact/external.h"
 
+#include <Eigen/Geometry>
 #include <Eigen/LU>
 #include <cmath>
 #include <numbers>
@@ -104,8 +105,11 @@ ImpactPrediction predict(const Chain& chain, const ImpactInput& input) noexcept 
   if (!usable(chain, input)) return out;
 
   const ChainPose pose = chain.pose(input.q);
-  const Jacobian J_h = chain.jacobian(pose);
-  const JointVector lever = J_h.topRows<3>().transpose() * input.normal;  // J_h^T n
+  JointVector lever(n);  // J_h^T n
+  for (int i = 0; i < n; ++i) {
+    const auto joint = static_cast<std::size_t>(i);
+    lever[i] = input.normal.dot(pose.axis[joint].cross(pose.face.position_m - pose.link[joint].position_m));
+  }
   const JointVector x = speed_per_impulse(chain, pose, input, lever);
   const double mobility = lever.dot(x);  // n^T W n
   const double compliance = mobility + 1.0 / input.nail_mass_kg;
@@ -127,9 +131,7 @@ ImpactPrediction predict(const Chain& chain, const ImpactInput& input) noexcept 
   out.nail_speed_after_m_s = P / input.nail_mass_kg;
   Vector6 external = Vector6::Zero();
   external.head<3>() = P * input.normal;
-  const InternalImpulses internal = internal_impulses(chain, pose, out.delta_qd, external, input.formulation);
-  out.axis_impulse_nm_s = internal.axis_nm_s;
-  out.wrench = internal.wrench;
+  out.axis_impulse_nm_s = internal_impulses(chain, pose, out.delta_qd, external, input.formulation, out.wrench);
   return out;
 }
 

@@ -154,10 +154,8 @@ Prediction instant_blow(const StrikeArm& arm, const PredictInput& in) noexcept {
   out.carried_before_nm = -weight;
   Vector6 external = Vector6::Zero();
   external.head<3>() = P * in.normal;
-  const InternalImpulses internal = internal_impulses(chain, pose, out.delta_qd, external, in.formulation);
-  out.wrench = internal.wrench;
-  out.blow_impulse_nm_s = internal.axis_nm_s;
-  out.axis_impulse_nm_s = internal.axis_nm_s - T * weight;
+  out.blow_impulse_nm_s = internal_impulses(chain, pose, out.delta_qd, external, in.formulation, out.wrench);
+  out.axis_impulse_nm_s = out.blow_impulse_nm_s - T * weight;
   for (int i = 0; i < n; ++i) {
     const double peak = kHalfSinePeak * out.blow_impulse_nm_s[i] / T - weight[i];
     out.peak_torque_nm[i] = std::max(std::abs(weight[i]), std::abs(peak));
@@ -357,7 +355,7 @@ Prediction finite_time_blow(const StrikeArm& arm, const PredictInput& in) noexce
   out.blow_impulse_nm_s = out.axis_impulse_nm_s + out.contact_s * weight;
   Vector6 external = Vector6::Zero();
   external.head<3>() = out.impulse_n_s * in.normal;
-  out.wrench = internal_impulses(chain, pose, out.delta_qd, external).wrench;
+  internal_impulses(chain, pose, out.delta_qd, external, Formulation::corrected, out.wrench);
   return out;
 }
 

@@ -8,11 +8,10 @@ namespace mrr::sup {
 using Eigen::Matrix3d;
 using Eigen::Vector3d;
 
-InternalImpulses internal_impulses(const Chain& chain, const ChainPose& pose, const JointVector& delta_qd,
-                                   const Vector6& external, Formulation formulation) noexcept {
+JointVector internal_impulses(const Chain& chain, const ChainPose& pose, const JointVector& delta_qd,
+                              const Vector6& external, Formulation formulation, JointWrenches& wrench) noexcept {
   const auto n = static_cast<std::size_t>(chain.dof());
-  InternalImpulses out;
-  out.axis_nm_s.resize(chain.dof());
+  JointVector axis_nm_s(chain.dof());
 
   // Out: the jump of every link's motion, (41).
   std::array<Vector3d, kMaxJoints> delta_w;   // rad/s
@@ -41,10 +40,11 @@ InternalImpulses internal_impulses(const Chain& chain, const ChainPose& pose, co
     F -= chain.link_mass_kg(joint) * delta_vc[i];
     tau += sign * (pose.link[i].position_m - c).cross(F);
     outer = pose.link[i].position_m;
-    out.wrench[i] = {.force_n_s = F, .torque_nm_s = tau};
-    out.axis_nm_s[joint] = pose.axis[i].dot(tau);
+    wrench[i].force_n_s = F;
+    wrench[i].torque_nm_s = tau;
+    axis_nm_s[joint] = pose.axis[i].dot(tau);
   }
-  return out;
+  return axis_nm_s;
 }
 
 ImpulseMap impulse_map(const Chain& chain, const ChainPose& pose, RotorModel rotors, Formulation formulation) noexcept {
@@ -56,9 +56,10 @@ ImpulseMap impulse_map(const Chain& chain, const ChainPose& pose, RotorModel rot
   for (int column = 0; column < 6; ++column) {
     const JointVector J_row = J_h.row(column).transpose();
     const JointVector delta_qd = solver.solve(J_row);
-    const InternalImpulses internal = internal_impulses(chain, pose, delta_qd, Vector6::Unit(column), formulation);
+    JointWrenches wrenches;
+    internal_impulses(chain, pose, delta_qd, Vector6::Unit(column), formulation, wrenches);
     for (int i = 0; i < n; ++i) {
-      const WrenchImpulse& wrench = internal.wrench[static_cast<std::size_t>(i)];
+      const WrenchImpulse& wrench = wrenches[static_cast<std::size_t>(i)];
       L.block<3, 1>(3 * i, column) = wrench.force_n_s;
       L.block<3, 1>(3 * (n + i), column) = wrench.torque_nm_s;
     }

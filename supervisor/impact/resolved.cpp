@@ -590,7 +590,7 @@ Prediction Blow::result() noexcept {
   // integrated, by what the pose changes meanwhile: that is put right.
   Vector6 external = Vector6::Zero();
   external.head<3>() = out.impulse_n_s * in_.normal;
-  out.wrench = internal_impulses(arm_.chain, pose, out.delta_qd, external).wrench;
+  internal_impulses(arm_.chain, pose, out.delta_qd, external, Formulation::corrected, out.wrench);
   for (int i = 0; i < n_; ++i) {
     Eigen::Vector3d& torque = out.wrench[at(i)].torque_nm_s;
     torque += (out.blow_impulse_nm_s[i] - pose.axis[at(i)].dot(torque)) * pose.axis[at(i)];

@@ -38,11 +38,12 @@ SelectionSweep::SelectionSweep(const Chain& chain, const ChainPose& pose, const 
   } else {
     Vector6 external = Vector6::Zero();
     external.head<3>() = normal;
-    through_ = internal_impulses(chain, pose, JointVector::Zero(dof_), external, formulation).axis_nm_s;
+    JointWrenches unused;
+    through_ = internal_impulses(chain, pose, JointVector::Zero(dof_), external, formulation, unused);
     per_jump_.resize(dof_, dof_);
     for (int i = 0; i < dof_; ++i) {
       per_jump_.col(i) =
-          internal_impulses(chain, pose, JointVector::Unit(dof_, i), Vector6::Zero(), formulation).axis_nm_s;
+          internal_impulses(chain, pose, JointVector::Unit(dof_, i), Vector6::Zero(), formulation, unused);
     }
   }
   usable_ = sound && inverse_.allFinite() && free_.allFinite();

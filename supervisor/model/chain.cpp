@@ -11,9 +11,22 @@ namespace {
 using Eigen::Matrix3d;
 using Eigen::Vector3d;
 
-/// Rotation by `angle` about the unit vector `axis` (Rodrigues).
-Matrix3d rotation_about(const Vector3d& axis, double angle) noexcept {
-  return Eigen::AngleAxisd(angle, axis).toRotationMatrix();
+/// [v]: [v] x = v cross x.
+Matrix3d cross_matrix(const Vector3d& v) noexcept {
+  Matrix3d m;
+  m << 0.0, -v.z(), v.y(), v.z(), 0.0, -v.x(), -v.y(), v.x(), 0.0;
+  return m;
+}
+
+/// += R I R^T, symmetric I.
+void add_rotated(Matrix3d& sum, const Matrix3d& R, const Matrix3d& I) noexcept {
+  const Matrix3d half = R.lazyProduct(I);
+  for (int row = 0; row < 3; ++row) {
+    for (int column = row; column < 3; ++column) {
+      sum(row, column) += half.row(row).dot(R.row(column));
+      sum(column, row) = sum(row, column);
+    }
+  }
 }
 
 /// m ([r]^T [r]): what moving the reference point by r adds to an inertia matrix (parallel axes).
@@ -36,9 +49,12 @@ Chain::Chain(const RobotDescription& robot)
   for (std::size_t i = 0; i < at(dof_); ++i) {
     const JointDescription& joint = robot.joints[i];
     if (i > 0) reach_m_ += joint.offset.translation_m.norm();
-    body_[i] = {.offset_rotation = joint.offset.rotation,
+    const Matrix3d along = joint.axis * joint.axis.transpose();
+    body_[i] = {.still = joint.offset.rotation * along,
+                .sine = joint.offset.rotation * cross_matrix(joint.axis),
+                .cosine = joint.offset.rotation * (Matrix3d::Identity() - along),
                 .offset_translation = joint.offset.translation_m,
-                .axis = joint.axis,
+                .axis = joint.offset.rotation * joint.axis,
                 .com = joint.link.com_m,
                 .inertia = joint.link.inertia_kg_m2,
                 .mass = joint.link.mass_kg,
@@ -54,11 +70,12 @@ ChainPose Chain::pose(const JointVector& q) const noexcept {
   for (int i = 0; i < dof_; ++i) {
     const Body& body = body_[at(i)];
     position += rotation * body.offset_translation;
-    const Matrix3d joint_rotation = rotation * body.offset_rotation;
-    pose.axis[at(i)].noalias() = joint_rotation * body.axis;  // turning about the axis leaves it where it is
-    rotation.noalias() = joint_rotation * rotation_about(body.axis, q[i]);
-    pose.link[at(i)].rotation = rotation;
-    pose.link[at(i)].position_m = position;
+    pose.axis[at(i)].noalias() = rotation * body.axis;  // turning about the axis leaves it where it is
+    const Matrix3d turned = body.still + std::sin(q[i]) * body.sine + std::cos(q[i]) * body.cosine;
+    Pose& link = pose.link[at(i)];
+    link.rotation.noalias() = rotation * turned;
+    link.position_m = position;
+    rotation = link.rotation;
     pose.com_m[at(i)] = position + rotation * body.com;
   }
   pose.face.rotation.noalias() = rotation * face_rotation_;
@@ -99,11 +116,13 @@ JointMatrix Chain::mass_matrix(const ChainPose& pose) const noexcept {
     const double sum = mass + body.mass;
     const Vector3d between = pose.com_m[at(i)] - com;
     // Reduced mass: both bodies seen from their common centre of mass. A massless arm has none.
-    if (sum > 0.0) {
+    if (i == dof_ - 1) {
+      com = pose.com_m[at(i)];
+    } else if (sum > 0.0) {
       inertia += parallel_axes(mass * body.mass / sum, between);
       com += (body.mass / sum) * between;
     }
-    inertia.noalias() += R * body.inertia * R.transpose();
+    add_rotated(inertia, R, body.inertia);
     mass = sum;
 
     const Vector3d& z = pose.axis[at(i)];

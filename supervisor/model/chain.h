@@ -16,10 +16,10 @@ using JointMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, kMa
 using Jacobian = Eigen::Matrix<double, 6, Eigen::Dynamic, 0, 6, kMaxJoints>;
 using Vector6 = Eigen::Matrix<double, 6, 1>;
 
-/// Position and orientation of a frame in the base frame.
+/// Position and orientation of a frame in the base frame. Unset until computed: sixteen of them are made per q.
 struct Pose {
-  Eigen::Matrix3d rotation = Eigen::Matrix3d::Identity();  ///< base <- frame
-  Eigen::Vector3d position_m = Eigen::Vector3d::Zero();    ///< its origin, base frame
+  Eigen::Matrix3d rotation;    ///< base <- frame
+  Eigen::Vector3d position_m;  ///< its origin, base frame
 };
 
 /// Where everything is at one q; all in the base frame. Entries beyond the chain's dof are unset.
@@ -92,9 +92,10 @@ class Chain {
 
  private:
   struct Body {
-    Eigen::Matrix3d offset_rotation;     // parent <- joint at q = 0
+    // Rodrigues with the offset: parent <- link is still + sin q sine + cos q cosine.
+    Eigen::Matrix3d still, sine, cosine;
     Eigen::Vector3d offset_translation;  // parent frame
-    Eigen::Vector3d axis;                // joint frame
+    Eigen::Vector3d axis;                // parent frame
     Eigen::Vector3d com;                 // link frame
     Eigen::Matrix3d inertia;             // about com, link axes
     double mass;
