@@ -620,7 +620,11 @@ Json Service::faults() const {
   for (int i = 0; i < robot_.dof(); ++i) {
     const NodeReport node = report(i);
     if (node.stage != NodeStage::faulted && node.stage != NodeStage::lost && node.stage != NodeStage::refused) continue;
-    const double at_s = node.fault != 0 ? node.fault_at.seconds() : state_->now.seconds();
+    // One that is lost reports no time: that of the newest event about it.
+    const auto heard = std::find_if(faults_.begin(), faults_.end(), [i](const Fault& f) { return f.joint == i; });
+    const double at_s = node.fault != 0          ? node.fault_at.seconds()
+                        : heard != faults_.end() ? heard->time_s
+                                                 : state_->now.seconds();
     active.push_back(fault_json(i, node.fault, at_s, problem_of(i)));
   }
   Json history = Json::array();

@@ -1032,7 +1032,7 @@ const char* describe(StrikeMeasure measure) noexcept {
 std::string report(const RobotDescription& robot, const StrikePlan& plan) {
   const int n = robot.dof();
   std::string text = plan.why + "\n\n";
-  text += fmt::format("Poses, best first ({})\n", describe(plan.measure));
+  text += fmt::format("Poses, best first ({}; N s: of the instant alone)\n", describe(plan.measure));
   text += fmt::format("  #  {:>10}  speed m/s  blow N s  back-swing rad  swing s  S (P passive)\n",
                       fmt::format("{}", unit_of(plan.measure)));
   std::size_t shown = 0;
@@ -1052,17 +1052,17 @@ std::string report(const RobotDescription& robot, const StrikePlan& plan) {
 
   text += "\nJoints of the chosen blow\n";
   text +=
-      "              q'     limit   axis impulse, N m s, if      limits, N m s\n"
-      "              rad/s  rad/s   free    held    as planned   rated   rep.peak  impact\n";
+      "                q'     limit  axis impulse, N m s, if  limits, N m s\n"
+      "              rad/s   rad/s    free    held  planned    rated rep.peak  impact\n";
   for (int i = 0; i < n; ++i) {
     const JointLoad& load = plan.loads[at(i)];
     const bool passive = (plan.passive >> i & 1U) != 0;
-    text += fmt::format("  {:<9} {:>7.3f}  {:>6.3f}  {:>6.3f}  {:>6.3f}      {:>6.3f}  {:>6.3f}     {:>6.3f}  {}\n",
+    text += fmt::format("  {:<9} {:>7.3f} {:>7.3f} {:>7.3f} {:>7.3f}  {:>7.3f}  {:>7.3f}  {:>7.3f}  {}\n",
                         robot.joints[at(i)].name, plan.qd_impact[i], load.qd_limit_rad_s, load.free_nm_s,
                         load.held_nm_s, load.planned_nm_s, load.limits.rated_nm_s, load.limits.repeated_nm_s,
                         passive ? "passive" : "active");
   }
-  text += fmt::format("\nSelections weighed: {}\n", plan.selections_weighed);
+  text += fmt::format("\nSelections weighed: {} (N s: of the instant alone)\n", plan.selections_weighed);
   shown = 0;
   for (const SelectionCandidate& c : plan.selections) {
     if (++shown > kSelectionsShown) break;
@@ -1083,7 +1083,8 @@ std::string report(const RobotDescription& robot, const StrikePlan& plan) {
   text += fmt::format(
       "  face       {:.3f} m/s along the nail, {:.3f} m/s sideways, tilt {:.2f} deg, {:.2f} mm off centre\n",
       plan.speed_m_s, plan.lateral_speed_m_s, plan.tilt_rad * kDegrees, 1e3 * plan.lateral_m);
-  text += fmt::format("  blow       {:.2f} N s, effective mass {:.2f} kg\n", plan.impulse_n_s, plan.effective_mass_kg);
+  text += fmt::format("  blow       {:.2f} N s with what presses during contact, effective mass {:.2f} kg\n",
+                      plan.impulse_n_s, plan.effective_mass_kg);
   text += fmt::format("  follow     {:.1f} mm past the head{}{}\n", 1e3 * plan.follow_through_m,
                       plan.follow_through_note.empty() ? "" : ": ", plan.follow_through_note);
   text += fmt::format("  return     {:.2f} s\n", (plan.strike.duration() - plan.stop_time).seconds());
