@@ -15,6 +15,7 @@ namespace mrr::sup {
 namespace {
 
 constexpr std::int8_t kModePassive = -1;
+constexpr std::int8_t kModeHoming = 6;
 constexpr std::int64_t kKnotsAhead = 2;               // knot sent at SYNC k is latched at k+1 and reached at k+2
 constexpr Duration kListenFirst = milliseconds(150);  // for modules that boot together with the supervisor
 constexpr Duration kHeartbeatPeriod = milliseconds(50);
@@ -464,6 +465,10 @@ void Supervisor::enter_faulted() noexcept {
     selection_ = Selection::none;
   }
   let_go_ = 0;
+  if (activity_ == Activity::homing) {
+    nodes_[at(homing_joint_)].stop_homing();
+    emit(EventKind::homing_ended, homing_joint_, static_cast<std::uint32_t>(nodes_[at(homing_joint_)].homing()));
+  }
   begin_motion(stopping_motion(), Activity::faulted);
   if (swing_open_) {
     outcome_.aborted = AbortReason::joint_fault;
@@ -476,12 +481,20 @@ void Supervisor::enter_faulted() noexcept {
 void Supervisor::recover_if_asked() noexcept {
   if (!recover_wanted_) return;
   // The other joints come to rest first: bring-up leads nobody who moves.
-  if (activity_ == Activity::faulted && !(motion_ended() && selection_ == Selection::none)) return;
+  if (activity_ == Activity::faulted && !at_rest_now()) return;
   recover_wanted_ = false;
   if (activity_ != Activity::faulted && activity_ != Activity::bringing_up && activity_ != Activity::disabled) return;
   held_ = 0;
   for (int i = 0; i < dof_; ++i) nodes_[at(i)].reset_fault();
   if (activity_ != Activity::disabled) activity_ = Activity::bringing_up;
+}
+
+// No set point leads that joint: it moves until it says that it is back in their mode.
+bool Supervisor::homing_now() const noexcept {
+  if (homing_joint_ < 0) return false;
+  const NodeProxy& node = nodes_[at(homing_joint_)];
+  return node.homing() == HomingState::running ||
+         (node.stage() == NodeStage::enabled && node.measured().mode_display == kModeHoming);
 }
 
 bool Supervisor::at_rest_now() const noexcept {
@@ -491,7 +504,7 @@ bool Supervisor::at_rest_now() const noexcept {
     case Activity::disabled:
       return true;
     case Activity::faulted:
-      return sync_ < 0 || (motion_ended() && selection_ == Selection::none);
+      return sync_ < 0 || (motion_ended() && selection_ == Selection::none && !homing_now());
     case Activity::approaching:
     case Activity::dwelling:
     case Activity::swinging:
@@ -558,6 +571,10 @@ Refusal Supervisor::home(int joint) noexcept {
     return Refusal::not_ready;
   }
   if (nodes_[at(joint)].stage() != NodeStage::enabled) return Refusal::joint_unavailable;
+  // During bring-up others may not be there yet: homing beside them would end as if they had failed.
+  for (int i = 0; i < dof_; ++i) {
+    if (out_of_action(nodes_[at(i)].stage())) return Refusal::not_ready;
+  }
   begin_command(CommandKind::home, joint);
   nodes_[at(joint)].start_homing();
   homing_joint_ = joint;
@@ -631,7 +648,7 @@ void Supervisor::advance_homing() noexcept {
     return;
   }
   // Set points lead again only once the module says that it is back in their mode.
-  if (node.measured().mode_display == static_cast<std::int8_t>(6)) return;
+  if (node.measured().mode_display == kModeHoming) return;
   emit(EventKind::homing_ended, homing_joint_, static_cast<std::uint32_t>(node.homing()));
   activity_ = Activity::bringing_up;
   switch (node.homing()) {
@@ -868,10 +885,12 @@ void Supervisor::stop_now() noexcept {
     case Activity::passive:
       take_back();
       break;
+    case Activity::faulted:
+      if (homing_joint_ >= 0) nodes_[at(homing_joint_)].stop_homing();
+      break;
     case Activity::bringing_up:
     case Activity::holding:
     case Activity::stopping:
-    case Activity::faulted:
     case Activity::disabled:
       break;
   }

@@ -241,6 +241,7 @@ class Supervisor final : public RobotPort {
   void take_back() noexcept;
   [[nodiscard]] bool is_joint(int joint) const noexcept { return joint >= 0 && joint < dof_; }
   [[nodiscard]] bool at_rest_now() const noexcept;
+  [[nodiscard]] bool homing_now() const noexcept;
   [[nodiscard]] bool blow_over() const noexcept;
   [[nodiscard]] bool too_late_to_cancel() const noexcept;
   void close_swing() noexcept;

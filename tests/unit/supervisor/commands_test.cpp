@@ -181,6 +181,34 @@ TEST_F(Commands, HomingCanBeStopped) {
   EXPECT_NEAR(supervisor().measured_position()[0], at, 2e-3);
 }
 
+TEST_F(Commands, HomingStopsWhenAnotherJointFails) {
+  enable();
+  ASSERT_EQ(supervisor().home(0), Refusal::none);
+  run_for(milliseconds(800));
+  ASSERT_GT(std::abs(supervisor().node(0).measured().velocity_rad_s), 0.01) << "it does not move, nothing to stop";
+  world_.bus().connect(port_of(2), false);
+  ASSERT_TRUE(run_until([&] { return supervisor().activity() == Activity::faulted; }, milliseconds(200)));
+  EXPECT_EQ(supervisor().command().failure, CommandFailure::joint_fault);
+  EXPECT_EQ(count(events_, EventKind::homing_ended), 1);
+  supervisor().stop();
+  EXPECT_EQ(supervisor().command().state, CommandState::running);
+  ASSERT_TRUE(done(milliseconds(3000)));
+  EXPECT_EQ(supervisor().node(0).measured().mode_display, 8) << "done, but still homing";
+  const double at = supervisor().measured_position()[0];
+  run_for(milliseconds(500));
+  EXPECT_NEAR(supervisor().measured_position()[0], at, 2e-3);
+}
+
+TEST_F(Commands, HomingIsRefusedWhileAnotherJointIsNotThere) {
+  world_.bus().connect(port_of(2), false);
+  supervisor().enable(true);
+  ASSERT_TRUE(run_until([&] { return supervisor().node(0).stage() == NodeStage::enabled; }));
+  ASSERT_EQ(supervisor().activity(), Activity::bringing_up);
+  EXPECT_EQ(supervisor().home(0), Refusal::not_ready);
+  run_for(milliseconds(100));
+  EXPECT_EQ(supervisor().activity(), Activity::bringing_up);
+}
+
 TEST_F(Commands, AJointThatComesBackStaysBrakedUntilRecover) {
   enable();
   world_.bus().connect(port_of(1), false);
