@@ -259,6 +259,7 @@ void NodeProxy::step(Time now, can::TransmitQueue& tx) noexcept {
     measured_ = NodeMeasurement{};
     condition_ = NodeCondition{};
     fault_ = 0;
+    resets_left_ = 0;  // what is acknowledged is what there was
     sdo_.cancel();
     request_index_ = 0;
     request_pending_ = false;
@@ -276,6 +277,7 @@ void NodeProxy::step(Time now, can::TransmitQueue& tx) noexcept {
     received_ever_ = 0;
     measured_.valid = false;
     condition_.valid = false;
+    resets_left_ = 0;
     enter(NodeStage::lost, now);
   }
   if (stage_ != NodeStage::enabled && homing_ == HomingState::running) homing_ = HomingState::aborted;

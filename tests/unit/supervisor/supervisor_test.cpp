@@ -241,6 +241,23 @@ TEST_F(Supervised, FaultResetIsNotRepeatedForEver) {
   EXPECT_EQ(supervisor().node(1).stage(), sup::NodeStage::faulted);
 }
 
+TEST_F(Supervised, AnAcknowledgementDoesNotOutlastTheLossOfTheJoint) {
+  enable();
+  world_.bus().connect(port_of(1), false);
+  run_for(milliseconds(2'000));  // its own watchdogs have put it into fault
+  world_.bus().connect(port_of(1), true);
+  ASSERT_TRUE(run_until([&] { return supervisor().node(1).stage() == sup::NodeStage::faulted; }));
+  run_for(milliseconds(100));
+  world_.bus().connect(port_of(1), false);
+  run_for(milliseconds(420));
+  ASSERT_EQ(supervisor().node(1).stage(), sup::NodeStage::faulted);
+  supervisor().recover();  // some resets are left when it is given up as lost
+  ASSERT_TRUE(run_until([&] { return supervisor().node(1).stage() == sup::NodeStage::lost; }, milliseconds(140)));
+  world_.bus().connect(port_of(1), true);
+  run_for(milliseconds(2'000));
+  EXPECT_EQ(supervisor().node(1).stage(), sup::NodeStage::faulted) << "acknowledged by nobody";
+}
+
 TEST_F(Supervised, SyncDeliveredTwiceDisturbsNoSwing) {
   swing_until(milliseconds(600));
   const auto rejected_before = rejected_;
