@@ -4,6 +4,7 @@
 #include <poll.h>
 
 #include <algorithm>
+#include <array>
 #include <chrono>
 #include <cmath>
 #include <fstream>
@@ -12,6 +13,7 @@
 #include <memory>
 #include <optional>
 #include <sstream>
+#include <string_view>
 #include <thread>
 #include <utility>
 #include <vector>
@@ -206,6 +208,11 @@ BusJob run_bus_job(const RobotDescription& robot, const BusJobOptions& options) 
     const bool used = std::abs(truth.at("nail_height_m").get<double>() - robot.task.nail_height_m) > 1e-4 ||
                       truth.at("swings").get<int>() > 0;
     if (used) {
+      // Putting the arm back ends what somebody else does: the supervisor would refuse the job, and so do we.
+      const auto activity = supervisor.call("status").at("activity").get<std::string>();
+      static constexpr std::array<std::string_view, 4> kIdle{"disabled", "bringing up", "holding", "faulted"};
+      if (std::find(kIdle.begin(), kIdle.end(), activity) == kIdle.end())
+        throw rpc::ConnectionError(fmt::format("the robot is {}; stop it first", activity));
       supervisor.call("disable");
       wait_for(supervisor, recorder, "the robot has not let go",
                [](const Json& status) { return status.at("activity") == "disabled"; });
@@ -219,13 +226,21 @@ BusJob run_bus_job(const RobotDescription& robot, const BusJobOptions& options) 
   const double began_s = before.at("time_s").get<double>();
   const auto began = Clock::now();
   if (!before.at("ready").get<bool>()) {
-    supervisor.call("enable");
+    int number = supervisor.call("enable").at("command").get<int>();
     wait_for(supervisor, recorder, "the robot is not ready", [&](const Json& status) {
       const Json& joints = status.at("joints");
       const bool faulted =
           std::any_of(joints.begin(), joints.end(), [](const Json& joint) { return joint.at("stage") == "faulted"; });
       // A joint takes the arm that was put back for a broken encoder: that fault is ours to acknowledge, no other.
-      if (faulted && std::exchange(put_back, false)) supervisor.call("reset");
+      if (faulted && std::exchange(put_back, false)) {
+        number = supervisor.call("reset").at("command").get<int>();
+        return false;
+      }
+      const Json& command = status.at("command");
+      if (command.is_object() && command.at("number") == number && command.at("state") == "failed") {
+        throw rpc::ConnectionError(
+            fmt::format("the robot is not ready: {}; mrr status shows it", command.at("reason").get<std::string>()));
+      }
       return status.at("ready").get<bool>();
     });
   }

@@ -2,6 +2,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <regex>
 #include <stdexcept>
 
 #include "can_protocol/socketcan/can_socket.h"
@@ -29,7 +30,13 @@ int main(int argc, char** argv) {
   app->failure_message([](const CLI::App* root, const CLI::Error& error) {
     std::string command = "mrr";
     for (const CLI::App* used : root->get_subcommands()) command += " " + used->get_name();
-    return fmt::format("mrr: {}; see {} --help\n", error.what(), command);
+    // "Value 7 not in range 0.001000 to 1.000000": figures without the zeros.
+    static const std::regex kZeros(R"((\.\d*?)0+(?=\D|$))");
+    static const std::regex kPoint(R"((\d)\.(?=\D|$))");
+    std::string what = error.what();
+    if (what.find("not in range") != std::string::npos)
+      what = std::regex_replace(std::regex_replace(what, kZeros, "$1"), kPoint, "$1");
+    return fmt::format("mrr: {}; see {} --help\n", what, command);
   });
   const auto commands = cli::commands_of(*app);
   const auto is_first = [&](const CLI::App* command) { return command->get_name() == argv[1]; };
