@@ -69,6 +69,11 @@ Descriptor locked_folder(const fs::path& socket) {
   if (fd.get() < 0) throw failed(folder, fmt::format("cannot be opened: {}; make it first", std::strerror(errno)));
   struct stat status {};
   ::fstat(fd.get(), &status);
+  // A folder's owner may replace whatever is in it; root's can be trusted.
+  if (status.st_uid != ::geteuid() && status.st_uid != 0) {
+    throw failed(folder, fmt::format("belongs to user {}, who could replace the socket in it; use a folder of your own",
+                                     status.st_uid));
+  }
   // In a folder that others may write to, only the sticky bit keeps them from putting a socket of theirs in our place.
   if ((status.st_mode & (S_IWGRP | S_IWOTH)) != 0 && (status.st_mode & S_ISVTX) == 0) {
     throw failed(folder, fmt::format("has mode {:04o}: others could replace the socket in it; use a folder of your own",

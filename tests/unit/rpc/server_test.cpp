@@ -374,6 +374,15 @@ TEST(RpcPlace, WhatCannotBeUsedIsRefusedWithTheRemedy) {
   EXPECT_EQ(server_at(folder / "open" / "a.sock"), "accepted") << "as /tmp";
 }
 
+TEST(RpcPlace, AFolderOfAnotherUserIsRefused) {
+  if (geteuid() != 0) GTEST_SKIP() << "only root can make a folder for another user";
+  const TemporaryFolder folder;
+  fs::create_directory(folder / "theirs");
+  fs::permissions(folder / "theirs", fs::perms::owner_all);
+  ASSERT_EQ(chown((folder / "theirs").c_str(), 65534, 65534), 0);
+  EXPECT_THAT(refusal([&] { Server server(folder / "theirs" / "a.sock"); }), HasSubstr("belongs to user 65534"));
+}
+
 TEST(RpcPlace, OnlyOneOfManyThatStartAtOnceComesUp) {
   const TemporaryFolder folder;
   std::atomic<int> up = 0;
