@@ -79,12 +79,27 @@ std::string answer(std::string_view line, const std::map<std::string, Server::Ha
     return reply.is_null() ? std::string() : line_of(reply);
   }
   if (request.empty()) return line_of(failure(nullptr, kInvalidRequest, "an empty batch"));
-  Json replies = Json::array();
-  for (const Params& one : request) {
-    Json reply = answer_one(one, handlers);
-    if (!reply.is_null()) replies.push_back(std::move(reply));
+  if (request.size() > kMaxBatch) {
+    return line_of(failure(nullptr, kInvalidRequest,
+                           fmt::format("a batch has at most {} requests, this one {}; nothing of it was done",
+                                       kMaxBatch, request.size())));
   }
-  return replies.empty() ? std::string() : line_of(replies);
+  std::string replies;
+  for (const Params& one : request) {
+    Json reply;
+    if (replies.size() <= kMaxBatchAnswerBytes) {
+      reply = answer_one(one, handlers);
+    } else if (one.is_object() && one.contains("id")) {
+      reply = failure(one["id"].is_structured() ? Params(nullptr) : one["id"], kInvalidRequest,
+                      fmt::format("the batch's answers have more than {} bytes already; this request was not done",
+                                  kMaxBatchAnswerBytes));
+    }
+    if (reply.is_null()) continue;
+    replies += replies.empty() ? '[' : ',';
+    replies += line_of(reply);
+    replies.pop_back();  // its newline
+  }
+  return replies.empty() ? replies : replies + "]\n";
 }
 
 }  // namespace mrr::rpc

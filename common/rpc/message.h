@@ -17,6 +17,10 @@ using Json = nlohmann::ordered_json;
 
 /// Longest request, bytes, without its newline. Replies may be longer.
 inline constexpr std::size_t kMaxRequestBytes = 64 * 1024;
+/// Most requests in a batch.
+inline constexpr std::size_t kMaxBatch = 16;
+/// Once the answers of a batch have this many bytes, the rest of it is refused.
+inline constexpr std::size_t kMaxBatchAnswerBytes = 4 * 1024 * 1024;
 /// Deepest nesting of a request.
 inline constexpr int kMaxDepth = 32;
 

@@ -1,3 +1,4 @@
+#include <fmt/format.h>
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -85,6 +86,38 @@ TEST(RpcAnswer, ABatchIsAnsweredInOrderWithoutItsNotifications) {
   EXPECT_EQ(replies[1]["error"]["code"], kInvalidRequest);
   EXPECT_EQ(replies[2]["error"]["code"], kMethodNotFound);
   EXPECT_EQ(answer(R"([{"jsonrpc":"2.0","method":"echo"}])", handlers()), "");
+}
+
+std::string batch_of(std::size_t n, const std::string& method) {
+  std::string line;
+  for (std::size_t k = 0; k < n; ++k)
+    line += fmt::format(R"({}{{"jsonrpc":"2.0","id":{},"method":"{}"}})", k == 0 ? '[' : ',', k, method);
+  return line + ']';
+}
+
+TEST(RpcAnswer, ABatchHasAtMostSoManyRequests) {
+  EXPECT_EQ(ask(batch_of(kMaxBatch, "echo")).size(), kMaxBatch);
+  int called = 0;
+  const Handlers counting{{"count", [&called](const Params&) { return Json(++called); }}};
+  const Json refused = Json::parse(answer(batch_of(kMaxBatch + 1, "count"), counting));
+  EXPECT_EQ(refused.at("error").at("code"), kInvalidRequest);
+  EXPECT_EQ(called, 0);
+}
+
+TEST(RpcAnswer, TheAnswersOfABatchAreBounded) {
+  int called = 0;
+  const Handlers big{{"big", [&called](const Params&) {
+                        ++called;
+                        return Json(std::string(kMaxBatchAnswerBytes / 2, 'x'));
+                      }}};
+  const std::string line = answer(batch_of(kMaxBatch, "big"), big);
+  EXPECT_EQ(called, 2);
+  EXPECT_LT(line.size(), kMaxBatchAnswerBytes + 10'000);
+  const Json replies = Json::parse(line);
+  ASSERT_EQ(replies.size(), kMaxBatch);
+  EXPECT_TRUE(replies[1].contains("result"));
+  EXPECT_EQ(replies[2].at("error").at("code"), kInvalidRequest);
+  EXPECT_EQ(replies[kMaxBatch - 1].at("id"), kMaxBatch - 1);
 }
 
 TEST(RpcAnswer, WhatIsNestedWithoutBoundIsRefused) {
