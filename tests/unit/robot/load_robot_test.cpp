@@ -159,7 +159,7 @@ TEST(Mrr3, ReadsEveryGroupOfValues) {
   EXPECT_DOUBLE_EQ(j.control.passive_blend_s, 0.003);
   EXPECT_TRUE(j.sensors.torque_sensor);
   EXPECT_EQ(j.sensors.torque_full_scale_nm, 100.0);
-  EXPECT_EQ(j.homing.direction, -1);
+  EXPECT_EQ(j.homing.direction, 1);
   EXPECT_DOUBLE_EQ(j.brake.release_s, 0.05);
   EXPECT_EQ(j.limits.lower_rad, -1.6);
   EXPECT_DOUBLE_EQ(r.hammer.face_radius_m, 0.012);
