@@ -360,7 +360,7 @@ void Supervisor::step(Time now, std::span<const can::ReceivedFrame> received, ca
     for (int i = 0; i < dof_; ++i) nodes_[at(i)].receive(frame);
   }
   for (int i = 0; i < dof_; ++i) {
-    nodes_[at(i)].want_enabled(wanted_ && ((held_ >> static_cast<unsigned>(i)) & 1U) == 0);
+    nodes_[at(i)].want_enabled(wanted_ && (((held_ | given_up_) >> static_cast<unsigned>(i)) & 1U) == 0);
     nodes_[at(i)].step(now, tx);
   }
   if (step_count_ == 0 || now - last_heartbeat_ >= kHeartbeatPeriod) {
@@ -485,6 +485,7 @@ void Supervisor::recover_if_asked() noexcept {
   recover_wanted_ = false;
   if (activity_ != Activity::faulted && activity_ != Activity::bringing_up && activity_ != Activity::disabled) return;
   held_ = 0;
+  given_up_ = 0;
   for (int i = 0; i < dof_; ++i) nodes_[at(i)].reset_fault();
   if (activity_ != Activity::disabled) activity_ = Activity::bringing_up;
 }
@@ -529,6 +530,7 @@ void Supervisor::enable(bool wanted) noexcept {
   begin_command(CommandKind::enable);
   disable_wanted_ = false;
   wanted_ = true;
+  given_up_ = 0;
   if (activity_ == Activity::disabled) activity_ = Activity::bringing_up;
 }
 
@@ -537,6 +539,7 @@ void Supervisor::disable_if_asked() noexcept {
   disable_wanted_ = false;
   wanted_ = false;
   held_ = 0;
+  given_up_ = 0;
   activity_ = Activity::disabled;
   emit(EventKind::disabled);
 }
@@ -546,6 +549,7 @@ void Supervisor::stop() noexcept {
   if (!(command_status_.kind == CommandKind::stop && command_status_.state == CommandState::running)) {
     begin_command(CommandKind::stop);
   }
+  if (activity_ == Activity::bringing_up) give_up_missing();
   stop_wanted_ = sync_ >= 0;
 }
 
@@ -673,6 +677,13 @@ void Supervisor::begin_command(CommandKind kind, int joint) noexcept {
   command_status_ = {command_status_.number + 1, kind, joint, CommandState::running, CommandFailure::none, now_};
 }
 
+// A joint that is powered up hours after a failed bring-up shall not be enabled unasked.
+void Supervisor::give_up_missing() noexcept {
+  for (int i = 0; i < dof_; ++i) {
+    if (nodes_[at(i)].stage() != NodeStage::enabled) given_up_ |= 1U << static_cast<unsigned>(i);
+  }
+}
+
 void Supervisor::end_command(CommandFailure failure) noexcept {
   if (command_status_.state != CommandState::running) return;
   // A stop is what is wanted after a fault too.
@@ -682,6 +693,8 @@ void Supervisor::end_command(CommandFailure failure) noexcept {
   }
   command_status_.state = failure == CommandFailure::none ? CommandState::done : CommandState::failed;
   command_status_.failure = failure;
+  const bool brings_up = command_status_.kind == CommandKind::enable || command_status_.kind == CommandKind::reset;
+  if (brings_up && failure != CommandFailure::none && failure != CommandFailure::superseded) give_up_missing();
   emit(EventKind::command_ended, command_status_.joint, command_status_.number, static_cast<std::uint32_t>(failure));
 }
 

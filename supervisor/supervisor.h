@@ -234,6 +234,7 @@ class Supervisor final : public RobotPort {
   void begin_command(CommandKind kind, int joint = -1) noexcept;
   void end_command(CommandFailure failure) noexcept;
   void end_command_of(CommandKind kind, CommandFailure failure) noexcept;
+  void give_up_missing() noexcept;
   void advance_command() noexcept;
   [[nodiscard]] bool only_refused_are_missing() const noexcept;
   void advance_homing() noexcept;
@@ -298,6 +299,7 @@ class Supervisor final : public RobotPort {
   JointMotion reference_;
   std::uint32_t detached_ = 0;  // joints that motion_ no longer leads: they stay where they took over
   std::uint32_t held_ = 0;      // joints that failed: not enabled again before recover()
+  std::uint32_t given_up_ = 0;  // joints that were not enabled when bring-up failed: not before somebody asks again
   std::uint32_t let_go_ = 0;    // passive by set_passive()
   int homing_joint_ = -1;
   CommandStatus command_status_;
