@@ -228,9 +228,11 @@ void add_map_command(CLI::App& app, int& status) {
                    "load_ratio, effective_mass, internal_impact, dynamic_ellipsoid, "
                    "generalised_ellipsoid, impact_geometry")
       ->check(CLI::IsMember(measure_names()))
-      ->option_text("TEXT=load_ratio");
-  command->add_option("--robot", a->robot, "Folder with robot.urdf and robot.yaml")->capture_default_str();
-  command->add_option("--picture", a->picture, "Draw into this .png or .svg file instead");
+      ->capture_default_str();
+  command->add_option("--robot", a->robot, "Folder with robot.urdf and robot.yaml")
+      ->type_name("DIR")
+      ->capture_default_str();
+  command->add_option("--picture", a->picture, "Draw into this .png or .svg file instead")->type_name("FILE");
   command->add_option("--columns", a->columns, "Places along the plane")->check(CLI::Range(2, 512));
   command->add_option("--rows", a->rows, "Places upwards")->check(CLI::Range(2, 512));
   command

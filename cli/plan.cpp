@@ -125,7 +125,9 @@ sup::ContactLaw contact_law(const RobotDescription& robot, const std::string& bo
 }
 
 void add_strike_options(CLI::App& command, StrikeOptions& o) {
-  command.add_option("--robot", o.robot, "Folder with robot.urdf and robot.yaml")->capture_default_str();
+  command.add_option("--robot", o.robot, "Folder with robot.urdf and robot.yaml")
+      ->type_name("DIR")
+      ->capture_default_str();
   command.add_option("--height", o.height_mm, "Nail's head above the board, mm (default: the task's)")
       ->check(CLI::Range(0.0, 1000.0));
   command.add_option("--restitution", o.restitution, "e of the blow, 0 to 1")
@@ -147,13 +149,15 @@ void add_strike_options(CLI::App& command, StrikeOptions& o) {
       ->check(CLI::Range(0.001, 1.0));
   command.add_option("--mode", o.mode, "Passive switching: planned, lightest, never, or always all joints")
       ->check(CLI::IsMember({"planned", "lightest", "never", "always"}))
-      ->option_text("TEXT=planned");
-  command.add_option("--passive", o.passive,
-                     "These joints passive and no other: names or numbers, comma separated; none");
+      ->capture_default_str();
+  command
+      .add_option("--passive", o.passive, "These joints passive and no other: names or numbers, comma separated; none")
+      ->type_name("JOINT,...");
   command.add_option("--measure", o.measure, "What ranks poses: load_ratio, internal_impact, effective_mass")
       ->check(CLI::IsMember({"load_ratio", "internal_impact", "effective_mass"}))
-      ->option_text("TEXT=load_ratio");
-  command.add_option("--start", o.start, "Present pose, rad, comma separated (default: where the robot rests)");
+      ->capture_default_str();
+  command.add_option("--start", o.start, "Present pose, rad, comma separated (default: where the robot rests)")
+      ->type_name("RAD,...");
   command.add_option("--seed", o.seed, "Of the searches for poses")->capture_default_str();
 }
 

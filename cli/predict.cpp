@@ -191,14 +191,20 @@ void add_predict_command(CLI::App& app, int& status) {
   CLI::App* command =
       app.add_subcommand("predict", "Predict what a blow does to nail and joints, by three models; moves nothing");
   add_strike_options(*command, arguments->strike);
-  command->add_option("--q", arguments->q, "Pose at impact, rad, comma separated (default: as planned)");
-  command->add_option("--qd", arguments->qd, "Joint speeds at impact, rad/s, comma separated");
-  command->add_option("--held", arguments->held, "Joints that do not move whatever happens: names or numbers");
+  command->add_option("--q", arguments->q, "Pose at impact, rad, comma separated (default: as planned)")
+      ->type_name("RAD,...");
+  command->add_option("--qd", arguments->qd, "Joint speeds at impact, rad/s, comma separated")->type_name("RAD/S,...");
+  command
+      ->add_option("--held", arguments->held,
+                   "Joints that do not move whatever happens: names or numbers, comma separated")
+      ->type_name("JOINT,...");
   command->add_option("--model", arguments->model, "instant, finite_time, resolved, or all that apply")
       ->check(CLI::IsMember({"all", "instant", "finite_time", "resolved"}))
-      ->option_text("TEXT=all");
-  command->add_option("--board", arguments->board,
-                      "styrofoam, hardwood, or a board's YAML file (default: e, M* and contact as given)");
+      ->capture_default_str();
+  command
+      ->add_option("--board", arguments->board,
+                   "styrofoam, hardwood, or a board's YAML file (default: e, M* and contact as given)")
+      ->type_name("NAME");
   command->add_flag("--json", arguments->json, "Print one JSON object and nothing else");
   command->callback([arguments, &status] { status = run_predict(*arguments); });
 }

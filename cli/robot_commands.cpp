@@ -66,15 +66,17 @@ void stop_quietly(rpc::Client& client) {
   }
 }
 
-/// Sends a command and waits until it has ended. `moves`: Ctrl-C, and a wait that is too long, stop the robot.
-int command(const Arguments& arguments, const std::string& method, const Json& params, bool moves) {
+/// Sends a command and waits until it has ended. `moves`: Ctrl-C, and a wait that is too long, stop the robot. `label`:
+/// before what is said when it is accepted or done.
+int command(const Arguments& arguments, const std::string& method, const Json& params, bool moves,
+            const std::string& label = {}) {
   catch_interrupts();
   rpc::Client client = connect(arguments);
   client.call("subscribe", {{"events", {"command"}}});
   const Json accepted = client.call(method, params);
   const auto number = accepted.at("command").get<std::int64_t>();
   if (arguments.no_wait) {
-    fmt::print("{}: accepted\n", method);
+    fmt::print("{}{}: accepted\n", label, method);
     return kExitDone;
   }
   const auto end = Clock::now() + std::chrono::duration<double>(arguments.timeout_s);
@@ -97,7 +99,7 @@ int command(const Arguments& arguments, const std::string& method, const Json& p
       }
     }
     if (state == "done") {
-      fmt::print("{}: done\n", method);
+      fmt::print("{}{}: done\n", label, method);
       return kExitDone;
     }
     if (state == "failed") {
@@ -176,7 +178,11 @@ int show_faults(const Arguments& arguments) {
   rpc::Client client = connect(arguments);
   const Json faults = client.call("faults");
   fmt::print("{}", arguments.json ? faults.dump(2) + '\n' : faults_text(faults));
-  return faults.at("active").empty() ? kExitDone : kExitNotDone;
+  if (!faults.at("active").empty()) return kExitNotDone;
+  // A joint that was lost and is back has no fault, and the robot waits for reset all the same.
+  if (client.call("status").at("activity") != "faulted") return kExitDone;
+  if (!arguments.json) fmt::print("The robot waits for mrr reset: a joint was lost or in fault, and is back.\n");
+  return kExitNotDone;
 }
 
 int show_log(const Arguments& arguments) {
@@ -203,9 +209,8 @@ int home(const Arguments& arguments) {
   // From the tip to the base: a joint that looks for its switch then carries as little as it can.
   for (auto joint = joints.rbegin(); joint != joints.rend(); ++joint) {
     const auto name = joint->at("name").get<std::string>();
-    fmt::print("{}: ", name);
-    std::fflush(stdout);
-    if (const int status = command(arguments, "home", {{"joint", name}}, true); status != kExitDone) return status;
+    const int status = command(arguments, "home", {{"joint", name}}, true, name + ": ");
+    if (status != kExitDone) return status;
   }
   return kExitDone;
 }
@@ -287,7 +292,7 @@ void add_robot_commands(CLI::App& app, int& status) {
     auto a = new_arguments();
     CLI::App* one = add("status", "Show what the robot does and how each joint is", a);
     CLI::Option* watch = one->add_flag("-w,--watch", a->watch, "Keep showing it until Ctrl-C");
-    one->add_option("--period", a->period_s, "Time between two looks, s")
+    one->add_option("--period", a->period_s, "Time between two looks, s of wall time")
         ->check(CLI::Range(0.05, 3600.0))
         ->type_name("SECONDS")
         ->capture_default_str()
@@ -354,14 +359,14 @@ void add_robot_commands(CLI::App& app, int& status) {
     auto a = new_arguments();
     CLI::App* one = add("fault", "List the faults: the first of each joint, when, why and what to do", a);
     add_json(one, a, "Print the answer as docs/rpc.md has it");
-    one->footer("Exit status 1 if there is a fault.");
+    one->footer("Exit status 1 if there is a fault, or one that waits for mrr reset.");
     one->callback([a, &status] { status = show_faults(*a); });
   }
   {
     auto a = new_arguments();
     a->period_s = 0.1;
     CLI::App* one = add("monitor", "Watch joints and events live: position bars and torque curves", a);
-    one->add_option("--period", a->period_s, "Time between two samples, s")
+    one->add_option("--period", a->period_s, "Time between two samples, s of wall time")
         ->check(CLI::Range(0.01, 3600.0))
         ->type_name("SECONDS")
         ->capture_default_str();

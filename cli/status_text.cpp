@@ -71,7 +71,9 @@ std::string clock_words(const Json& clock) {
   return text(clock, "kind") == "lockstep" ? "in lockstep with the plant" : "in real time";
 }
 
+/// A joint that is lost or refused reports no code.
 std::string fault_words(const Json& fault) {
+  if (fault.value("code", 0) == 0) return "no word from it, or refused";
   return fmt::format("{:04X}h {}", fault.value("code", 0), text(fault, "name"));
 }
 
@@ -82,13 +84,20 @@ std::string status_text(const Json& hello, const Json& status) {
   const Json& clock = status.at("clock");
   std::string out = fmt::format("{} on {}, {}: {}{}\n\n", text(hello.at("robot"), "name"), text(bus, "interface"),
                                 clock_words(clock), text(status, "activity"), flag(status, "ready") ? ", ready" : "");
+  // Nothing below is of now then.
+  if (!flag(clock, "running"))
+    out += text(clock, "kind") == "lockstep"
+               ? "  The plant does not tick, and it is the clock: what follows is its last\n"
+                 "  tick. See that mrr_plant and all modules run.\n\n"
+               : "  The clock stands still: what follows is not of now.\n\n";
   out += "  joint       stage          mode      position     speed   torque  winding\n";
   out += "                                            deg     deg/s       Nm     degC\n";
   std::string notes;
   for (const Json& joint : status.at("joints")) {
     const std::string name = text(joint, "name");
     out += fmt::format("  {:<11} {:<14} {:<8} {:>9} {:>9} {:>8} {:>8}\n", fitted(name, 11), text(joint, "stage"),
-                       mode_word(joint), figure(number(joint, "position_rad") * kDegrees, 2),
+                       text(joint, "stage") == "idle" ? "-" : mode_word(joint),  // a mode is chosen, nothing follows it
+                       figure(number(joint, "position_rad") * kDegrees, 2),
                        figure(number(joint, "velocity_rad_s") * kDegrees, 1), figure(number(joint, "torque_nm"), 1),
                        figure(number(joint, "winding_c"), 0));
     if (joint.contains("problem") && joint["problem"].is_string())
@@ -104,6 +113,8 @@ std::string status_text(const Json& hello, const Json& status) {
     if (joint.contains("homed") && joint["homed"].is_boolean() && !flag(joint, "homed"))
       notes += wrapped(fmt::format("  {}: not homed; mrr home {}", name, name), 6);
   }
+  if (text(status, "activity") == "faulted")
+    notes += "  A joint was lost or in fault: mrr fault says why; then mrr reset.\n";
   if (!notes.empty()) out += '\n' + notes;
   out += '\n';
   out += wrapped(fmt::format("  bus      {}{}; {} % of the bit rate in the worst case; {} frames sent, {} received, {} "
@@ -134,9 +145,11 @@ std::string status_text(const Json& hello, const Json& status) {
   if (status.contains("job") && status["job"].is_object()) {
     const Json& job = status["job"];
     const int swings = job.value("swings", 0);
+    std::string verdict = text(job, "verdict");  // as in result.json: swing_aborted
+    std::replace(verdict.begin(), verdict.end(), '_', ' ');
     out += wrapped(fmt::format("  job      {}: {}, {} swing{} so far, nail {} mm proud as the robot sees it",
-                               job.value("job", 0), text(job, "state") == "done" ? text(job, "verdict") : "running",
-                               swings, swings == 1 ? "" : "s", figure(number(job, "nail_height_mm"), 1)),
+                               job.value("job", 0), text(job, "state") == "done" ? verdict : "running", swings,
+                               swings == 1 ? "" : "s", figure(number(job, "nail_height_mm"), 1)),
                    11);
   }
   return out;

@@ -230,6 +230,9 @@ def test_faults_come_with_cause_time_and_remedy(supervisor, mrr):
         assert words in " ".join(shown.stdout.split()), words
     supervisor.answers["faults"] = lambda: {"active": [], "history": []}
     shown = mrr("fault")
+    assert shown.returncode == 1 and "waits for mrr reset" in shown.stdout, "lost and back: no fault, yet faulted"
+    supervisor.answers["status"] = lambda: status() | {"activity": "holding"}
+    shown = mrr("fault")
     assert (shown.returncode, shown.stdout) == (0, "No faults.\n")
 
 
