@@ -114,7 +114,7 @@ void PlantHost::drop(plant_io::Participant who, const std::string& why) {
   if (who < dof_) plant_.set_actuator(who, {});
 }
 
-void PlantHost::take(const can::ReceivedFrame& received) {
+void PlantHost::take(const can::ReceivedFrame& received, Time now) {
   if (const auto announcement = plant_io::decode_announcement(received.frame)) {
     Participant& p = participants_[announcement->from];
     const bool joint = announcement->from != plant_io::kSupervisor;
@@ -131,7 +131,7 @@ void PlantHost::take(const can::ReceivedFrame& received) {
       say(fmt::format("{} takes part", names(plant_io::bit_of(announcement->from))));
     p.joined = true;
     p.refused = false;
-    p.heard = received.at;
+    p.heard = now;
     return;
   }
   const auto answer = plant_io::decode_answer(received.frame);
@@ -148,14 +148,15 @@ void PlantHost::take(const can::ReceivedFrame& received) {
   }
   if (options_.lockstep && answer->number != number_) return;  // of an earlier tick: too late
   p.answered = true;
-  p.heard = received.at;
+  p.heard = now;
   p.payload = answer->payload;
 }
 
 void PlantHost::receive(Duration timeout) {
   for (auto frames = socket_.receive(timeout); !frames.empty(); frames = socket_.receive()) {
     const bool more = frames.size() == can::CanSocket::kBatch;
-    for (const can::ReceivedFrame& f : frames) take(f);
+    const Time now = can::monotonic_now();
+    for (const can::ReceivedFrame& f : frames) take(f, now);
     if (!more) break;
   }
 }
@@ -459,9 +460,14 @@ void PlantHost::serve(rpc::Server& server) {
   server.on("push", [this](const rpc::Params& p) {
     const int joint = p.at("joint").get<int>();
     const double torque_nm = p.at("torque_nm").get<double>();
-    if (!(joint >= 1 && joint <= dof_ && std::isfinite(torque_nm)))
+    if (!(joint >= 1 && joint <= dof_))
+      throw rpc::Error(rpc::kInvalidParams, fmt::format("joint is {}; give 1 to {}.", joint, dof_));
+    const double limit_nm = robot_.joints[static_cast<std::size_t>(joint - 1)].transmission.momentary_peak_nm;
+    if (!(std::abs(torque_nm) <= limit_nm)) {
       throw rpc::Error(rpc::kInvalidParams,
-                       fmt::format("joint is {}; give 1 to {}, and torque_nm in Nm.", joint, dof_));
+                       fmt::format("torque_nm is {} Nm; joint {} takes -{} to {} Nm, its gear's momentary peak.",
+                                   torque_nm, joint, limit_nm, limit_nm));
+    }
     plant_.set_external_torque(joint - 1, torque_nm);
     return rpc::Json::object();
   });

@@ -56,7 +56,7 @@ class PlantHost {
   void run_realtime(const volatile int& stop);
   void send_tick(bool ending);
   void receive(Duration timeout);
-  void take(const can::ReceivedFrame& received);
+  void take(const can::ReceivedFrame& received, Time now);
   void drop(plant_io::Participant who, const std::string& why);
   void apply_answers();
   /// After each step: recording and the watch of the swing.
