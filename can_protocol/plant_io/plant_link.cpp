@@ -100,22 +100,25 @@ void PlantLink::take(const can::ReceivedFrame& received, std::optional<OwnTick>&
 
 std::optional<OwnTick> PlantLink::wait(Duration timeout) noexcept {
   std::optional<OwnTick> tick;
-  const Time deadline = joined_ || timeout.ns <= 0 ? Time{} : can::monotonic_now() + timeout;
+  Time deadline = joined_ || timeout.ns <= 0 ? Time{} : can::monotonic_now() + timeout;
   while (true) {
     if (!joined_) announce();
     const Duration slice = joined_ ? timeout : std::min(timeout, kAnnouncePeriod);
     std::span<const can::ReceivedFrame> frames = socket_.receive(slice);
     const bool more = frames.size() == can::CanSocket::kBatch;
+    const bool silent = frames.empty();
     for (const can::ReceivedFrame& f : frames) take(f, tick);
     if (more) {
       for (frames = socket_.receive(); !frames.empty(); frames = socket_.receive()) {
         for (const can::ReceivedFrame& f : frames) take(f, tick);
       }
     }
-    if (tick) return tick;
+    if (tick || timeout.ns <= 0) return tick;
+    // The frame of our group comes before the go: only silence for as long as was asked for is one.
+    if (deadline.ns == 0 && !silent) deadline = can::monotonic_now() + timeout;
     if (deadline.ns == 0 || can::monotonic_now() >= deadline) {
       // Silence: the plant may be another one when it speaks again.
-      if (timeout.ns > 0) joined_ = false;
+      joined_ = false;
       return tick;
     }
   }
@@ -126,6 +129,11 @@ std::span<const can::ReceivedFrame> PlantLink::robot_frames(can::CanSocket& robo
   robot.use_kernel_times(true);
   inbox_.fill(robot, tick.arrived);
   return inbox_.take(tick.arrived, tick.now - tick.since_last, can::kernel_now());
+}
+
+void PlantLink::discard_up_to(can::CanSocket& robot, const OwnTick& tick) noexcept {
+  while (!robot_frames(robot, tick).empty()) {
+  }
 }
 
 void PlantLink::answer(const OwnTick& tick, const AnswerPayload& payload, bool leaving) noexcept {
@@ -143,6 +151,9 @@ void PlantLink::advance_clock(Time own_now) noexcept {
   started_ = true;
 }
 
-void PlantLink::forget() noexcept { joined_ = false; }
+void PlantLink::forget() noexcept {
+  joined_ = false;
+  inbox_.clear();
+}
 
 }  // namespace mrr::plant_io

@@ -34,6 +34,8 @@ class TickInbox {
   [[nodiscard]] std::span<const can::ReceivedFrame> take(Time limit, Time at, Time now = Time{INT64_MAX}) noexcept;
   /// The same in order of arrival, with their own times of arrival: for free-running.
   [[nodiscard]] std::span<const can::ReceivedFrame> take_as_received(Time limit) noexcept;
+  /// Forgets what waits.
+  void clear() noexcept { waiting_.clear(); }
   /// Reads `robot` until it is empty, or a frame beyond `limit` is there, or there is no room (the rest waits in the
   /// kernel).
   void fill(can::CanSocket& robot, Time limit) noexcept;
@@ -76,6 +78,9 @@ class PlantLink {
   /// Valid until the next call.
   [[nodiscard]] std::span<const can::ReceivedFrame> robot_frames(can::CanSocket& robot, const OwnTick& tick) noexcept;
 
+  /// Drops what the robot's bus brought up to this tick: it was for whoever was here before. What came later stays.
+  void discard_up_to(can::CanSocket& robot, const OwnTick& tick) noexcept;
+
   /// To be called after the frames of the tick were sent on the robot's bus. `leaving`: the plant shall go on without
   /// this participant.
   void answer(const OwnTick& tick, const AnswerPayload& payload, bool leaving = false) noexcept;
@@ -88,7 +93,7 @@ class PlantLink {
 
   /// True from the first tick that asked this participant until wait() times out, the plant drops it, or forget().
   [[nodiscard]] bool joined() const noexcept { return joined_; }
-  /// The plant is taken for lost: announce again.
+  /// The plant is taken for lost: announce again. Frames of the robot's bus that wait for its ticks are dropped.
   void forget() noexcept;
 
   [[nodiscard]] int fd() const noexcept { return socket_.fd(); }

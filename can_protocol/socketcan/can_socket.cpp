@@ -149,7 +149,7 @@ struct CanSocket::Impl {
   std::array<iovec, kBatch> send_vector{};
   std::array<mmsghdr, kBatch> send_header{};
 
-  std::span<const ReceivedFrame> receive(int flags = MSG_DONTWAIT) noexcept;
+  std::span<const ReceivedFrame> receive(int flags = MSG_DONTWAIT, Time deadline = {}) noexcept;
   [[nodiscard]] Time look_at_clocks() noexcept;
   Time arrival(msghdr& header, Time now) noexcept;
   void note_error_frame(const canfd_frame& frame) noexcept;
@@ -227,7 +227,7 @@ void CanSocket::Impl::note_error_frame(const canfd_frame& frame) noexcept {
   if ((frame.can_id & CAN_ERR_RESTARTED) != 0) bus_off = false;
 }
 
-std::span<const ReceivedFrame> CanSocket::Impl::receive(int flags) noexcept {
+std::span<const ReceivedFrame> CanSocket::Impl::receive(int flags, Time deadline) noexcept {
   std::size_t count = 0;
   while (count == 0) {
     for (std::size_t i = 0; i < kBatch; ++i) {
@@ -259,7 +259,8 @@ std::span<const ReceivedFrame> CanSocket::Impl::receive(int flags) noexcept {
       }
       received[count++] = {*frame, at};
     }
-    // A batch of nothing but error frames: there may be more behind it.
+    // A batch of nothing but error frames: there may be more behind it, but they do not start the wait again.
+    if (count == 0 && flags == MSG_WAITFORONE && monotonic_now() >= deadline) break;
   }
   statistics.received += static_cast<std::int64_t>(count);
   if (count > 0) link_down = bus_off = false;
@@ -276,7 +277,7 @@ std::span<const ReceivedFrame> CanSocket::receive(Duration timeout) noexcept {
     if (::setsockopt(impl_->descriptor.get(), SOL_SOCKET, SO_RCVTIMEO, &t, sizeof t) != 0) return {};
     impl_->wait = timeout;
   }
-  return impl_->receive(MSG_WAITFORONE);
+  return impl_->receive(MSG_WAITFORONE, monotonic_now() + timeout);
 }
 
 std::size_t CanSocket::send(std::span<const Frame> frames) noexcept {

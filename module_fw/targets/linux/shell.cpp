@@ -130,7 +130,12 @@ void Shell::run(const volatile int& stop) {
   module_ = std::make_unique<Module>(config_);
   if (store_) module_->load_parameters(*store_);
   cob_ids_ = cob_ids(module_->objects()).fingerprint;
-  can_.discard_received();
+  if (pace == Pace::lockstep) {
+    // What came after the first tick belongs to the next one, however late this process is.
+    plant_->discard_up_to(can_, *first_);
+  } else {
+    can_.discard_received();
+  }
   forbid_heap();
   Next next = pace == Pace::lockstep ? Next::lockstep : Next::clock;
   while (next != Next::done) next = next == Next::lockstep ? run_lockstep(stop) : run_on_clock(stop);
@@ -195,6 +200,7 @@ Shell::Next Shell::run_lockstep(const volatile int& stop) {
       const bool stopping = stop != 0;
       if (!stopping && can::monotonic_now() - silent_since < kPlantSilence) continue;
       say("the plant is silent: going on by the wall clock without sensors");
+      plant_->forget();
       return Next::clock;
     }
     silent_since = {};
@@ -237,6 +243,7 @@ Shell::Next Shell::run_on_clock(const volatile int& stop) {
       if (at && at->lockstep && !stopping_ && ticks_ > 0) {
         // The plant is back, in lockstep: its time is ours again.
         first_ = at;
+        inbox_.clear();
         say("the plant is back");
         return Next::lockstep;
       }
