@@ -17,6 +17,12 @@ std::string words(std::string name) {
   std::replace(name.begin(), name.end(), '_', ' ');
   return name;
 }
+
+/// What a swing may end in. Holding may be over within the step: joints are let go of, or still take over.
+bool at_rest(Activity activity) {
+  return activity == Activity::holding || activity == Activity::faulted || activity == Activity::disabled ||
+         activity == Activity::bringing_up;
+}
 }  // namespace
 
 const char* describe(SessionState state) noexcept {
@@ -25,6 +31,8 @@ const char* describe(SessionState state) noexcept {
       return "bring-up";
     case SessionState::planning:
       return "planning";
+    case SessionState::planned:
+      return "planned";
     case SessionState::swinging:
       return "swinging";
     case SessionState::learning:
@@ -126,6 +134,11 @@ void HammerSession::plan_next() {
     finish(Verdict::plan_refused, error.what());
     return;
   }
+  // Planning takes long: whoever steps the session may have been asked to stop meanwhile.
+  state_ = SessionState::planned;
+}
+
+void HammerSession::execute() {
   const Refusal refusal = port_.execute(*plan_);
   if (refusal != Refusal::none) {
     finish(Verdict::plan_refused, fmt::format("the swing was refused: {}", describe(refusal)));
@@ -223,12 +236,18 @@ bool HammerSession::step(Time now) {
       }
       break;
     case SessionState::planning:
-      plan_next();
+      if (port_.activity() == Activity::bringing_up) {  // a joint is still taking over
+        state_ = SessionState::bring_up;
+        started_at_ = now;
+      } else {
+        plan_next();
+      }
+      break;
+    case SessionState::planned:
+      execute();
       break;
     case SessionState::swinging:
-      if (port_.outcome().done && (port_.activity() == Activity::holding || port_.activity() == Activity::faulted)) {
-        state_ = SessionState::learning;
-      }
+      if (port_.outcome().done && at_rest(port_.activity())) state_ = SessionState::learning;
       break;
     case SessionState::learning:
       learn();

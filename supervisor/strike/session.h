@@ -23,7 +23,7 @@ struct SessionOptions {
   Duration bring_up_timeout = milliseconds(8000);
 };
 
-enum class SessionState : std::uint8_t { bring_up, planning, swinging, learning, done };
+enum class SessionState : std::uint8_t { bring_up, planning, planned, swinging, learning, done };
 [[nodiscard]] const char* describe(SessionState state) noexcept;
 
 enum class Verdict : std::uint8_t {
@@ -71,6 +71,7 @@ class HammerSession {
  private:
   void finish(Verdict verdict, std::string reason);
   void plan_next();
+  void execute();
   void learn();
   [[nodiscard]] PlanInput next_request() const;
   [[nodiscard]] std::string bring_up_report(bool refused_only = false) const;

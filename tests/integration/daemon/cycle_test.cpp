@@ -227,7 +227,7 @@ TEST(DaemonCycle, ALongStallEndsInANamedResult) {
   EXPECT_TRUE(robot.run_until([&] { return robot.cycle.state().activity == Activity::holding; }));
 }
 
-TEST(DaemonService, EnablesMovesAndDisablesForAClient) {
+TEST(DaemonService, EnablesMovesHammersAndDisablesForAClient) {
   mrr::test::TemporaryFolder folder;
   Robot robot;
   sup::LogBook log(spdlog::level::off);
@@ -274,7 +274,20 @@ TEST(DaemonService, EnablesMovesAndDisablesForAClient) {
       return "9 rad was not refused";
     } catch (const rpc::Error&) {
     }
-    return done("disable");
+    // Letting go of all joints in the middle of a swing ends the job too.
+    (void)client.call("hammer", {{"swings", 1}}, kPatience);
+    bool swings = false;
+    for (int k = 0; k < 10'000 && !swings; ++k) {
+      swings = client.call("status", rpc::Json::object(), kPatience)["activity"] == "approaching";
+    }
+    if (!swings) return "the job never began to swing";
+    if (auto why = done("disable"); !why.empty()) return why;
+    rpc::Json job;
+    for (int k = 0; k < 1'000; ++k) {
+      job = client.call("job", rpc::Json::object(), kPatience);
+      if (job["state"] == "done") break;
+    }
+    return job["state"] == "done" && job["verdict"] == "swing_aborted" ? "" : job.dump();
   };
   std::string why;
   try {

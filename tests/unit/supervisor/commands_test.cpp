@@ -209,6 +209,61 @@ TEST_F(Commands, HomingIsRefusedWhileAnotherJointIsNotThere) {
   EXPECT_EQ(supervisor().activity(), Activity::bringing_up);
 }
 
+TEST_F(Commands, AfterAFailedEnableNobodyIsEnabledUnasked) {
+  for (const bool stopped : {false, true}) {
+    SCOPED_TRACE(stopped ? "stopped" : "timed out");
+    world_.bus().connect(port_of(2), false);
+    supervisor().enable(true);
+    if (stopped) {
+      ASSERT_TRUE(run_until([&] { return supervisor().node(0).stage() == NodeStage::enabled; }));
+      supervisor().stop();
+      ASSERT_TRUE(done());
+    } else {
+      ASSERT_FALSE(done());
+      EXPECT_EQ(supervisor().command().failure, CommandFailure::timed_out);
+    }
+    EXPECT_FALSE(braked(0)) << "what is enabled holds";
+    world_.bus().connect(port_of(2), true);
+    const std::uint8_t id = robot_.joints[2].node_id;
+    ASSERT_TRUE(world_.bus().send(0, can::nmt_frame(can::NmtCommand::reset_node, id), world_.now()));  // powered up
+    run_for(milliseconds(3000));
+    EXPECT_EQ(supervisor().node(2).stage(), NodeStage::idle);
+    EXPECT_TRUE(braked(2));
+    enable();
+    supervisor().enable(false);
+    ASSERT_TRUE(done());
+  }
+}
+
+TEST_F(Commands, DisableInASwingEndsTheSession) {
+  sup::HammerSession session(robot_, supervisor(), sup::SessionOptions{});
+  bool asked = false;
+  bool over = false;
+  ASSERT_TRUE(run_until([&] {
+    over = session.step(world_.now());
+    if (!asked && supervisor().activity() == Activity::approaching) {
+      supervisor().enable(false);
+      asked = true;
+    }
+    return over;
+  }));
+  EXPECT_TRUE(asked);
+  EXPECT_EQ(session.verdict(), sup::Verdict::swing_aborted);
+  EXPECT_EQ(supervisor().activity(), Activity::disabled);
+}
+
+TEST_F(Commands, APlanIsNotExecutedInTheStepThatMadeIt) {
+  sup::HammerSession session(robot_, supervisor(), sup::SessionOptions{});
+  ASSERT_TRUE(run_until([&] {
+    session.step(world_.now());
+    return session.plan() != nullptr;
+  }));
+  EXPECT_EQ(session.state(), sup::SessionState::planned);
+  EXPECT_EQ(supervisor().activity(), Activity::holding) << "a stop that came meanwhile must be heard first";
+  session.step(world_.now());
+  EXPECT_EQ(session.state(), sup::SessionState::swinging);
+}
+
 TEST_F(Commands, AJointThatComesBackStaysBrakedUntilRecover) {
   enable();
   world_.bus().connect(port_of(1), false);
