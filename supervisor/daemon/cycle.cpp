@@ -18,12 +18,13 @@ void Cycle::step(Time now, std::span<const can::ReceivedFrame> received) noexcep
   supervisor_.step(now, received, tx_);
   if (!tx_.empty()) bus_.send({tx_.data(), tx_.size()});
   ++cycles_;
+  if (recorded_swing_.load(std::memory_order_relaxed) > 0) add_row();
+  publish();
+  // After the state: who takes an event finds the state it speaks of.
   for (const Event& event : supervisor_.events()) {
     if (!events_.push(event)) ++dropped_events_;
   }
   supervisor_.events().clear();
-  if (recorded_swing_.load(std::memory_order_relaxed) > 0) add_row();
-  publish();
   if (asked) mailbox_.reply(answer);
 }
 

@@ -649,6 +649,7 @@ void Service::notify(const char* kind, int joint, std::optional<std::int64_t> va
 void Service::take_events() {
   Event event;
   while (cycle_.next_event(event)) {
+    refresh();  // at least as new as the event: what is said of it is not of before
     std::string text = describe(event.kind);
     auto level = spdlog::level::debug;
     Json more = Json::object();
