@@ -228,8 +228,8 @@ bool HammerSession::step(Time now) {
       }
       if (port_.activity() == Activity::holding) {
         state_ = SessionState::planning;
-      } else if (const std::string refused = bring_up_report(true); !refused.empty()) {
-        finish(Verdict::not_ready, refused);  // time does not change that
+      } else if (const std::string refused = bring_up_report(true); !refused.empty() && refused == bring_up_report()) {
+        finish(Verdict::not_ready, refused);  // the others hold, and time does not change that
       } else if (now - started_at_ > options_.bring_up_timeout) {
         finish(Verdict::not_ready, fmt::format("bring-up did not end within {:.0f} s: {}",
                                                options_.bring_up_timeout.seconds(), bring_up_report()));
