@@ -140,7 +140,12 @@ LockstepLoop::LockstepLoop(Cycle& cycle, SocketBus& bus, const std::string& plan
 void LockstepLoop::run_once(Service& service, Duration timeout, bool leaving) {
   const std::optional<plant_io::OwnTick> tick = link_.wait(timeout);
   if (!tick) {
-    if (can::monotonic_now() - last_tick_ > kPlantSilence) service.set_clock_running(false);
+    if (can::monotonic_now() - last_tick_ > kPlantSilence) {
+      service.set_clock_running(false);
+      // What is said while time stands still must not come as new when it goes on.
+      link_.forget();
+      bus_.socket().discard_received();
+    }
     return;
   }
   if (!tick->lockstep) {
