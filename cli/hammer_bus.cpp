@@ -39,6 +39,47 @@ namespace fs = std::filesystem;
 namespace {
 
 constexpr auto kBringUpLimit = 60s;  // wall time; lockstep may be slow
+constexpr auto kStopLimit = 5s;      // for the supervisor to end a job we leave
+
+/// A job that nobody watches must not go on striking: unless release() was called, sends `stop` until the job is over.
+class JobGuard {
+ public:
+  JobGuard(std::string socket, rpc::Client& supervisor) : socket_(std::move(socket)), supervisor_(&supervisor) {}
+  JobGuard(const JobGuard&) = delete;
+  JobGuard& operator=(const JobGuard&) = delete;
+  ~JobGuard() {
+    const auto end = Clock::now() + kStopLimit;
+    while (supervisor_ != nullptr && Clock::now() < end) {
+      if (stopped()) return;
+      std::this_thread::sleep_for(50ms);
+    }
+  }
+  void release() { supervisor_ = nullptr; }
+
+ private:
+  bool stopped() noexcept {
+    try {
+      supervisor_->call("stop", Json::object(), 500ms);
+      const Json status = supervisor_->call("status", Json::object(), 500ms);
+      return !status.at("job").is_object() || status["job"].value("state", "") == "done";
+    } catch (const rpc::ConnectionError&) {
+      // The connection may be what failed: another one.
+      try {
+        own_ = std::make_unique<rpc::Client>(rpc::socket_path(socket_, "supervisor.sock"), "mrr_supervisor");
+        supervisor_ = own_.get();
+      } catch (const std::exception&) {
+        return false;
+      }
+    } catch (const std::exception&) {
+      return false;
+    }
+    return false;
+  }
+
+  std::string socket_;
+  rpc::Client* supervisor_;
+  std::unique_ptr<rpc::Client> own_;
+};
 
 /// Every frame on the robot's bus. In lockstep each gets the simulated time of the tick in which it was sent, so that
 /// the log is of the same clock as everything else; within a tick by identifier, as everybody takes them.
@@ -248,7 +289,15 @@ BusJob run_bus_job(const RobotDescription& robot, const BusJobOptions& options) 
   supervisor.call("subscribe", {{"events", {"swing", "job"}}});
   Json request = {{"mode", options.mode}, {"seed", options.seed}, {"as_printed", options.as_printed}};
   if (options.swings > 0) request["swings"] = options.swings;
-  const auto number = supervisor.call("hammer", request).at("job").get<int>();
+  JobGuard guard(options.socket, supervisor);
+  const int number = [&] {
+    try {
+      return supervisor.call("hammer", request).at("job").get<int>();
+    } catch (const rpc::Error&) {
+      guard.release();  // refused: there is no job of ours, perhaps one of somebody else's
+      throw;
+    }
+  }();
   ProgressBar bar;
   int swings = 0;
   auto next_look = Clock::now();
@@ -258,10 +307,7 @@ BusJob run_bus_job(const RobotDescription& robot, const BusJobOptions& options) 
       if (event->value("kind", "") == "swing") ++swings;
       over = over || (event->value("kind", "") == "job" && event->value("value", 0) == number);
     }
-    if (interrupted()) {
-      supervisor.call("stop");
-      throw Interrupted();
-    }
+    if (interrupted()) throw Interrupted();
     if (Clock::now() < next_look) continue;
     // Now and then: events may be lost.
     next_look = Clock::now() + 300ms;
@@ -274,6 +320,7 @@ BusJob run_bus_job(const RobotDescription& robot, const BusJobOptions& options) 
                            status.at("time_s").get<double>() - began_s),
                1.0 - height_m / robot.task.nail_height_m);
   }
+  guard.release();
   const double wall_s = std::chrono::duration<double>(Clock::now() - began).count();
   bar.clear();
 
