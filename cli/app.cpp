@@ -63,6 +63,8 @@ std::vector<std::string> names_of(const CLI::Option& option) {
 
 bool takes_value(const CLI::Option& option) { return option.get_items_expected_max() > 0; }
 
+constexpr std::size_t kLongestChoice = 40;
+
 OptionWords words_of(const CLI::Option& option) {
   OptionWords words;
   words.description = option.get_description();
@@ -76,6 +78,8 @@ OptionWords words_of(const CLI::Option& option) {
   if (const std::size_t open = type.find('{'); open != std::string::npos) {
     words.value = type.substr(open + 1, type.find('}', open) - open - 1);
     std::replace(words.value.begin(), words.value.end(), ',', '|');
+    // A long list does not fit beside the name: the description has it.
+    if (words.value.size() > kLongestChoice) words.value = type.substr(0, type.find(':'));
   } else {
     words.value = type.substr(0, type.find(':'));
   }

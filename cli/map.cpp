@@ -227,6 +227,7 @@ void add_map_command(CLI::App& app, int& status) {
       ->add_option("--measure", a->measure,
                    "load_ratio, effective_mass, internal_impact, dynamic_ellipsoid, "
                    "generalised_ellipsoid, impact_geometry")
+      ->type_name("NAME")
       ->check(CLI::IsMember(measure_names()))
       ->capture_default_str();
   command->add_option("--robot", a->robot, "Folder with robot.urdf and robot.yaml")
