@@ -95,8 +95,8 @@ void Sensing::update(Time now, const RawSensors& raw) noexcept {
     }
   };
   seen_ |= fresh;
-  take(kFreshTorque, static_cast<float>(raw.torque_adc) * torque_scale_ - torque_offset_nm_, config_.torque_timeout, joint_torque_,
-       torque_at_);
+  take(kFreshTorque, static_cast<float>(raw.torque_adc) * torque_scale_ - torque_offset_nm_, config_.torque_timeout,
+       joint_torque_, torque_at_);
   take(kFreshCurrent, static_cast<float>(raw.current_adc) * current_scale_, config_.current_timeout, current_,
        current_at_);
   take(kFreshTemperature, static_cast<float>(raw.winding_temperature_adc) * 0.1F, config_.slow_timeout, winding_,
