@@ -7,6 +7,7 @@
 #include <limits>
 
 #include "common/robot/errors.h"
+#include "supervisor/impact/swing_policy.h"
 #include "supervisor/master/bus_budget.h"
 #include "supervisor/model/kdl_reference.h"
 
@@ -24,9 +25,6 @@ constexpr double kEchoStep_rad = 4e-3;  // within the modules' resynchronisation
 constexpr double kStartTolerance_rad = 1e-3;
 constexpr double kSelfCheckTolerance = 1e-9;
 constexpr double kContactGate_m = 0.015;  // how far off the head's height may have been estimated
-constexpr double kRubberGives_m = 0.006;  // a hammer face gives way by this much before a nail must move
-constexpr double kStillFast = 0.8;        // of the planned impact speed: what is struck does not stop the arm
-constexpr double kLeastArm_m = 0.05;
 /// SYNCs between arming and the half turn of the SYNC counter.
 constexpr int kCounterMargin = 10;
 /// A SYNC goes out this part of its period late at the latest.
@@ -38,8 +36,6 @@ constexpr Duration kSelectTimeout = milliseconds(300);
 /// Beyond the module's own timeout, for stopping and the way back to set points.
 constexpr Duration kHomingGrace = milliseconds(3000);
 constexpr Duration kCommandTimeout = milliseconds(8000);
-/// A switch that is due this soon anyway is not pulled.
-constexpr Duration kPullMargin = milliseconds(5);
 
 // Reports a fault, or fell silent.
 bool unusable(NodeStage stage) noexcept { return stage == NodeStage::faulted || stage == NodeStage::lost; }
@@ -85,6 +81,27 @@ const char* describe(Activity activity) noexcept {
       return "disabled";
   }
   return "?";
+}
+
+bool moves(Activity activity) noexcept {
+  switch (activity) {
+    case Activity::approaching:
+    case Activity::dwelling:
+    case Activity::swinging:
+    case Activity::resuming:
+    case Activity::returning:
+    case Activity::stopping:
+    case Activity::moving:
+    case Activity::homing:
+    case Activity::passive:
+      return true;
+    case Activity::bringing_up:
+    case Activity::holding:
+    case Activity::faulted:
+    case Activity::disabled:
+      return false;
+  }
+  return false;
 }
 
 const char* describe(EventKind kind) noexcept {
@@ -337,7 +354,7 @@ bool Supervisor::sinking() const noexcept {
   for (int i = 0; i < dof_; ++i) {
     if (((program_.passive >> static_cast<unsigned>(i)) & 1U) == 0) continue;
     const double arm_m = std::abs(J_h.col(i).head<3>().dot(program_.normal));
-    if (arm_m < kLeastArm_m) continue;  // this joint does not move the face along the nail
+    if (arm_m < kLeastLever_m) continue;  // this joint does not move the face along the nail
     deceleration_m_s2 = std::min(deceleration_m_s2, arm_m * robot_.joints[at(i)].stop_deceleration_rad_s2());
   }
   // The samples are a SYNC old, and the modules hear of it a frame later.
@@ -499,25 +516,10 @@ bool Supervisor::homing_now() const noexcept {
 }
 
 bool Supervisor::at_rest_now() const noexcept {
-  switch (activity_) {
-    case Activity::bringing_up:
-    case Activity::holding:
-    case Activity::disabled:
-      return true;
-    case Activity::faulted:
-      return sync_ < 0 || (motion_ended() && selection_ == Selection::none && !homing_now());
-    case Activity::approaching:
-    case Activity::dwelling:
-    case Activity::swinging:
-    case Activity::resuming:
-    case Activity::returning:
-    case Activity::stopping:
-    case Activity::moving:
-    case Activity::homing:
-    case Activity::passive:
-      return false;
+  if (activity_ == Activity::faulted) {
+    return sync_ < 0 || (motion_ended() && selection_ == Selection::none && !homing_now());
   }
-  return false;
+  return !moves(activity_);
 }
 
 void Supervisor::enable(bool wanted) noexcept {

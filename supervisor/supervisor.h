@@ -45,6 +45,8 @@ enum class Activity : std::uint8_t {
   disabled,  ///< nobody is wanted enabled
 };
 [[nodiscard]] const char* describe(Activity activity) noexcept;
+/// A motion, or joints that are let go, is under way. Not so: a faulted robot, which may still be stopping.
+[[nodiscard]] bool moves(Activity activity) noexcept;
 
 enum class EventKind : std::uint8_t {
   node_stage,    ///< joint, value: NodeStage

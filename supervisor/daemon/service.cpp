@@ -118,27 +118,6 @@ bool of_a_joint(CommandFailure failure) noexcept {
          failure == CommandFailure::joint_refused;
 }
 
-bool moves(Activity activity) noexcept {
-  switch (activity) {
-    case Activity::approaching:
-    case Activity::dwelling:
-    case Activity::swinging:
-    case Activity::resuming:
-    case Activity::returning:
-    case Activity::stopping:
-    case Activity::moving:
-    case Activity::homing:
-    case Activity::passive:
-      return true;
-    case Activity::bringing_up:
-    case Activity::holding:
-    case Activity::faulted:
-    case Activity::disabled:
-      return false;
-  }
-  return false;
-}
-
 }  // namespace
 
 struct Service::Job {

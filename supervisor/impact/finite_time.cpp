@@ -6,6 +6,7 @@
 #include <numbers>
 
 #include "supervisor/impact/internal.h"
+#include "supervisor/impact/swing_policy.h"
 
 namespace mrr::sup {
 namespace {
@@ -15,30 +16,10 @@ constexpr double kHalfSinePeak = 0.5 * std::numbers::pi;  // peak over mean
 constexpr double kLongest_s = 0.4;
 constexpr int kRounds = 3;  // the contact's length depends on the mass, the mass on the length
 // The supervisor's rule for an arm that sinks with the nail.
-constexpr double kRubberGives_m = 0.006;
-constexpr double kLeastLever_m = 0.05;
 constexpr double kStep_s = 1e-3;       // of the finite-time model
 constexpr double kStill_rad_s = 0.01;  // Coulomb friction fades in below
 
 std::size_t at(int i) noexcept { return static_cast<std::size_t>(i); }
-
-/// s(t) of the reference after the planned contact, its first and second derivative; see ReferenceProfile.
-struct Scalar {
-  double s, v, a;
-};
-Scalar profile(const ReferenceProfile& r, double t) noexcept {
-  if (t < 0.0) return {t, 1.0, 0.0};  // just before: as at contact
-  if (t < r.stop_s) {
-    const double x = t / r.stop_s;
-    return {r.stop_s * x * (1.0 - x * x * (1.0 - 0.5 * x)), 1.0 - x * x * (3.0 - 2.0 * x),
-            -6.0 * x * (1.0 - x) / r.stop_s};
-  }
-  const double way = -r.travel_s - 0.5 * r.stop_s;
-  const double x = std::min((t - r.stop_s) / r.return_s, 1.0);
-  const double u = 1.0 - x;
-  return {0.5 * r.stop_s + way * x * x * x * (10.0 - x * (15.0 - 6.0 * x)), 30.0 * way * x * x * u * u / r.return_s,
-          60.0 * way * x * u * (1.0 - 2.0 * x) / (r.return_s * r.return_s)};
-}
 
 /// Twist of a transmission under a torque, rad: only for the sag before contact, so the softest piece will do.
 double sag_rad(const JointDrive& d, double torque) noexcept {
@@ -246,7 +227,8 @@ Prediction finite_time_blow(const StrikeArm& arm, const PredictInput& in) noexce
   }
   bool over = false;
   for (; t < kLongest_s && !over; t += kStep_s) {
-    const Scalar s = profile(in.reference, t);
+    // Just before contact as at contact.
+    const ReferenceProfile::Point s = t < 0.0 ? ReferenceProfile::Point{t, 1.0, 0.0} : in.reference.at(t);
     const bool let_go = t >= -in.switch_lead_s;
     // Contact, in smaller steps of the nail alone: it has no mass.
     const double height = lever.dot(q) - sag;

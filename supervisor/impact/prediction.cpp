@@ -111,6 +111,29 @@ Complaint first_complaint(const StrikeArm& arm, const PredictInput& in, Predicti
 
 }  // namespace
 
+ReferenceProfile::Point ReferenceProfile::at(double t) const noexcept {
+  if (t < 0.0) {
+    const double T = approach_s;
+    if (t <= -T) return {-travel_s, 0.0, 0.0};
+    const double x = 1.0 + t / T;
+    const double L = travel_s / T;  // quintic from (-L, 0, 0) to (0, 1, 0), in units of T
+    const double c3 = 10.0 * L - 4.0;
+    const double c4 = -15.0 * L + 7.0;
+    const double c5 = 6.0 * L - 3.0;
+    return {T * (-L + x * x * x * (c3 + x * (c4 + x * c5))), x * x * (3.0 * c3 + x * (4.0 * c4 + x * 5.0 * c5)),
+            x * (6.0 * c3 + x * (12.0 * c4 + x * 20.0 * c5)) / T};
+  }
+  if (t < stop_s) {
+    const double x = t / stop_s;
+    return {stop_s * x * (1.0 - x * x * (1.0 - 0.5 * x)), 1.0 - x * x * (3.0 - 2.0 * x), -6.0 * x * (1.0 - x) / stop_s};
+  }
+  const double way = -travel_s - 0.5 * stop_s;
+  const double x = std::min((t - stop_s) / return_s, 1.0);
+  const double u = 1.0 - x;
+  return {0.5 * stop_s + way * x * x * x * (10.0 - x * (15.0 - 6.0 * x)), 30.0 * way * x * x * u * u / return_s,
+          60.0 * way * x * u * (1.0 - 2.0 * x) / (return_s * return_s)};
+}
+
 const char* describe(PredictionModel model) noexcept {
   switch (model) {
     case PredictionModel::instant:

@@ -9,6 +9,7 @@
 #include <string>
 
 #include "supervisor/impact/external.h"
+#include "supervisor/impact/swing_policy.h"
 #include "supervisor/model/chain.h"
 
 namespace mrr::sup {
@@ -33,6 +34,13 @@ struct ReferenceProfile {
   double approach_s = 0.4;  ///< > 0
   double stop_s = 0.05;     ///< > 0
   double return_s = 0.8;    ///< > 0
+
+  struct Point {
+    double s = 0.0;  ///< s
+    double v = 0.0;  ///< 1
+    double a = 0.0;  ///< 1/s
+  };
+  [[nodiscard]] Point at(double t_s) const noexcept;
 };
 
 /// The drive of one joint as the robot knows it; joint side.
@@ -76,7 +84,7 @@ struct StrikeArm {
   double knot_s = 4e-3;          ///< of the set points
   double lead_s = 0.012;         ///< TaskDescription::switch_lead_s: a face this near pulls the switch
   double face_radius_m = 0.012;  ///< a head further than this from the face's centre is not struck
-  double sinking_share = 0.8;  ///< the supervisor's: a face still faster than this share of planned sinks with the nail
+  double sinking_share = kStillFast;
 };
 
 enum class PredictionModel : std::uint8_t {

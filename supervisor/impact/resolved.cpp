@@ -7,6 +7,7 @@
 #include <numbers>
 
 #include "supervisor/impact/internal.h"
+#include "supervisor/impact/swing_policy.h"
 
 namespace mrr::sup {
 namespace {
@@ -28,14 +29,11 @@ constexpr double kPullFilter_rad_s = 30.0;
 constexpr double kTrendStill_rad_s = 0.02;
 constexpr double kTrendMoving_rad_s = 0.05;
 // And the supervisor's.
-constexpr double kRubberGives_m = 0.006;
-constexpr double kLeastLever_m = 0.05;
-constexpr double kGapMargin_m = 5e-4;   // the switch is pulled when the gap is down to speed times lead and this
-constexpr double kPullMargin_s = 5e-3;  // ... unless it is due this soon anyway
-constexpr double kFelt_n = 6.0;         // force from which it takes the blow for begun
-constexpr double kGone_n = 2.4;         // ... and below which, twice in a row, for over
-constexpr double kShortest_s = 0.015;   // what ends sooner was no blow
-constexpr double kSettle_1_s = 100.0;   // a module's reference comes to rest at this rate
+constexpr double kGapMargin_m = 5e-4;  // the switch is pulled when the gap is down to speed times lead and this
+constexpr double kFelt_n = 6.0;        // force from which it takes the blow for begun
+constexpr double kGone_n = 2.4;        // ... and below which, twice in a row, for over
+constexpr double kShortest_s = 0.015;  // what ends sooner was no blow
+constexpr double kSettle_1_s = 100.0;  // a module's reference comes to rest at this rate
 constexpr double kRest_rad_s = 1e-4;
 
 double sat(double x) noexcept { return std::clamp(x, -1.0, 1.0); }
@@ -59,35 +57,6 @@ double spring_twist(const JointDrive& d, double torque) noexcept {
        d.stiffness_nm_rad[1];
   x += std::max(t - d.stiffness_break_nm[1], 0.0) / d.stiffness_nm_rad[2];
   return std::copysign(x, torque);
-}
-
-struct Scalar {
-  double s = 0.0, v = 0.0, a = 0.0;
-};
-
-/// s(t) of the reference; see ReferenceProfile.
-Scalar profile(const ReferenceProfile& r, double t) noexcept {
-  if (t < 0.0) {
-    const double T = r.approach_s;
-    if (t <= -T) return {-r.travel_s, 0.0, 0.0};
-    const double x = 1.0 + t / T;
-    const double L = r.travel_s / T;  // quintic from (-L, 0, 0) to (0, 1, 0), in units of T
-    const double c3 = 10.0 * L - 4.0;
-    const double c4 = -15.0 * L + 7.0;
-    const double c5 = 6.0 * L - 3.0;
-    return {T * (-L + x * x * x * (c3 + x * (c4 + x * c5))), x * x * (3.0 * c3 + x * (4.0 * c4 + x * 5.0 * c5)),
-            x * (6.0 * c3 + x * (12.0 * c4 + x * 20.0 * c5)) / T};
-  }
-  if (t < r.stop_s) {
-    const double x = t / r.stop_s;
-    return {r.stop_s * x * (1.0 - x * x * (1.0 - 0.5 * x)), 1.0 - x * x * (3.0 - 2.0 * x),
-            -6.0 * x * (1.0 - x) / r.stop_s};
-  }
-  const double way = -r.travel_s - 0.5 * r.stop_s;
-  const double x = std::min((t - r.stop_s) / r.return_s, 1.0);
-  const double u = 1.0 - x;
-  return {0.5 * r.stop_s + way * x * x * x * (10.0 - x * (15.0 - 6.0 * x)), 30.0 * way * x * x * u * u / r.return_s,
-          60.0 * way * x * u * (1.0 - 2.0 * x) / (r.return_s * r.return_s)};
 }
 
 /// One joint: rotor, sensors, law.
@@ -121,7 +90,7 @@ class Blow {
   void new_pose() noexcept;
   void expect(double t) noexcept;
   void control(double t) noexcept;
-  double active_torque(int i, const Scalar& s, double t) noexcept;
+  double active_torque(int i, const ReferenceProfile::Point& s, double t) noexcept;
   double passive_torque(int i, bool begins) noexcept;
   void supervise(double t) noexcept;
   void resume(double t) noexcept;
@@ -132,11 +101,11 @@ class Blow {
   void record(double t) noexcept;
   void conclude(double t) noexcept;
   [[nodiscard]] Prediction result() noexcept;
-  [[nodiscard]] Scalar reference(double t) const noexcept;
+  [[nodiscard]] ReferenceProfile::Point reference(double t) const noexcept;
   struct Target {
     double q, v, a;
   };
-  [[nodiscard]] Target target(int i, const Scalar& s, double t) const noexcept;
+  [[nodiscard]] Target target(int i, const ReferenceProfile::Point& s, double t) const noexcept;
   [[nodiscard]] bool is_passive(int i) const noexcept { return in_.joints[at(i)] == JointHold::free; }
 
   const StrikeArm& arm_;
@@ -167,7 +136,7 @@ class Blow {
   // Coming back.
   bool resumed_ = false;
   double resumed_s_ = 0.0, stopping_s_ = 1.0;
-  Scalar resumed_at_;
+  ReferenceProfile::Point resumed_at_;
   bool returning_ = false;
   double return_from_s_ = 0.0, return_s_ = 1.0;
   JointVector return_q_, return_way_;
@@ -183,15 +152,15 @@ class Blow {
   Prediction none_, out_, kept_;
 };
 
-Scalar Blow::reference(double t) const noexcept {
-  if (!resumed_ || t < resumed_s_) return profile(in_.reference, t);
+ReferenceProfile::Point Blow::reference(double t) const noexcept {
+  if (!resumed_ || t < resumed_s_) return in_.reference.at(t);
   const double x = std::min((t - resumed_s_) / stopping_s_, 1.0);  // the supervisor's stopping motion
   return {resumed_at_.s + resumed_at_.v * stopping_s_ * x * (1.0 - x * x * (1.0 - 0.5 * x)),
           resumed_at_.v * (1.0 - x * x * (3.0 - 2.0 * x)), -6.0 * resumed_at_.v * x * (1.0 - x) / stopping_s_};
 }
 
 /// What joint i is led along.
-Blow::Target Blow::target(int i, const Scalar& s, double t) const noexcept {
+Blow::Target Blow::target(int i, const ReferenceProfile::Point& s, double t) const noexcept {
   if (!returning_) return {in_.q[i] + in_.qd[i] * s.s, in_.qd[i] * s.v, in_.qd[i] * s.a};
   const double x = std::clamp((t - return_from_s_) / return_s_, 0.0, 1.0);
   const double u = 1.0 - x;
@@ -221,7 +190,7 @@ void Blow::new_pose() noexcept {
 
 /// The model's torque that comes with the knots.
 void Blow::expect(double t) noexcept {
-  const Scalar s = reference(t);
+  const ReferenceProfile::Point s = reference(t);
   JointVector q(n_), v(n_), a(n_);
   for (int i = 0; i < n_; ++i) {
     const Joint& j = joint_[at(i)];
@@ -236,7 +205,7 @@ void Blow::expect(double t) noexcept {
 /// In steady motion along the reference.
 void Blow::start(double t) noexcept {
   head_m_ = arm_.chain.face_pose(in_.q).position_m - in_.early_m * in_.normal;
-  const Scalar s = profile(in_.reference, t);
+  const ReferenceProfile::Point s = in_.reference.at(t);
   q_ = in_.q + in_.qd * s.s;
   v_ = in_.qd * s.v;
   accel_ = in_.qd * s.a;
@@ -275,7 +244,7 @@ void Blow::start(double t) noexcept {
 
 /// Passive joints are called back: the supervisor stops its reference, they take over from where they are.
 void Blow::resume(double t) noexcept {
-  resumed_at_ = profile(in_.reference, t);
+  resumed_at_ = in_.reference.at(t);
   resumed_s_ = t;
   stopping_s_ = 4.0 * arm_.knot_s;
   for (int i = 0; i < n_; ++i) {
@@ -294,7 +263,7 @@ void Blow::resume(double t) noexcept {
 
 /// The switch is armed for the planned instant; the face seen nearer pulls it.
 void Blow::decide_switch(double t) noexcept {
-  if (in_window_ && switch_s_ - t > kPullMargin_s) switch_s_ = t;
+  if (in_window_ && switch_s_ - t > kPullMargin.seconds()) switch_s_ = t;
   double gap = pose_gap_ - in_.early_m;  // by the motors, to where the head is believed to be
   double speed = 0.0;
   for (int i = 0; i < n_; ++i) {
@@ -334,7 +303,7 @@ void Blow::supervise(double t) noexcept {
     return_from_s_ = t + 2.0 * arm_.knot_s;  // they report it, and a knot goes out
     return_q_ = return_way_ = JointVector::Zero(n_);
     return_s_ = 0.2;
-    const Scalar s = reference(t);
+    const ReferenceProfile::Point s = reference(t);
     for (int i = 0; i < n_; ++i) {
       Joint& j = joint_[at(i)];
       const JointDrive& d = arm_.drive[at(i)];
@@ -363,7 +332,7 @@ bool Blow::sinking() const noexcept {
 }
 
 /// The active law (14)-(18) with its compensator.
-double Blow::active_torque(int i, const Scalar& s, double t) noexcept {
+double Blow::active_torque(int i, const ReferenceProfile::Point& s, double t) noexcept {
   const JointDrive& d = arm_.drive[at(i)];
   Joint& j = joint_[at(i)];
   auto [q_d, v_d, a_d] = target(i, s, t);
@@ -442,7 +411,7 @@ double Blow::passive_torque(int i, bool begins) noexcept {
 
 /// One tick of every joint's loop.
 void Blow::control(double t) noexcept {
-  const Scalar s = reference(t);
+  const ReferenceProfile::Point s = reference(t);
   const bool let_go = !resumed_ && t >= switch_s_ - 0.1 * arm_.tick_s;
   for (int i = 0; i < n_; ++i) {
     const JointDrive& d = arm_.drive[at(i)];

@@ -53,6 +53,10 @@ class Process:
     def text(self):
         return self.log.read_text(errors="replace")
 
+    def wait_for(self, words, count=1, limit_s=15.0):
+        """What a running process has said is in its log only after it was given the time to say it."""
+        wait_until(lambda: self.text().count(words) >= count, limit_s, f"{count} x '{words}' from {self.name}", self.text)
+
     def alive(self):
         return self.popen.poll() is None
 
@@ -153,8 +157,8 @@ def wire(bare_module):
     assert bare_module.alive(), bare_module.text()
 
 
-def wait_until(condition, limit_s=5.0, what="it"):
+def wait_until(condition, limit_s=5.0, what="it", context=lambda: ""):
     end = time.monotonic() + limit_s
     while not condition():
-        assert time.monotonic() < end, f"waited {limit_s} s for {what}"
+        assert time.monotonic() < end, f"waited {limit_s} s for {what}\n{context()}"
         time.sleep(0.005)

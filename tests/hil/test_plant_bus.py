@@ -92,12 +92,12 @@ def test_without_a_plant_there_is_no_way_to_operation_enabled(fresh_robot):
 def test_a_module_that_stops_leaves_the_lockstep_in_order(fresh_robot):
     modules = [start_module(fresh_robot, joint, "--plant", "vcan1") for joint in (1, 2, 3)]
     plant = fresh_robot.start(PLANT, "--robot", ROBOT, "--plant", "vcan1", "--lockstep", "--verbose")
-    time.sleep(2.0)
+    plant.wait_for("lockstep begins")
     modules[1].stop()
-    time.sleep(0.5)
+    plant.wait_for("leaves in order")
     modules[0].stop()
     modules[2].stop()
-    assert plant.text().count("leaves in order") == 3, plant.text()
+    plant.wait_for("leaves in order", 3)
     assert "has not answered" not in plant.text()
     plant.stop()
     for module in modules:
@@ -107,8 +107,7 @@ def test_a_module_that_stops_leaves_the_lockstep_in_order(fresh_robot):
 def test_a_module_of_another_robot_is_refused(fresh_robot):
     stranger = fresh_robot.start(MODULE, "--robot", ROBOT.parent / "arm7", "--joint", 1, "--can", "vcan0", "--plant", "vcan1")
     plant = fresh_robot.start(PLANT, "--robot", ROBOT, "--plant", "vcan1")
-    time.sleep(1.5)
-    assert "is configured for another robot than mrr3" in plant.text()
+    plant.wait_for("is configured for another robot than mrr3")
     assert os.path.exists(os.path.join(os.environ["MRR_RUNTIME_DIR"], "plant.sock"))
     plant.stop()
     stranger.stop()

@@ -276,7 +276,8 @@ def test_sigterm_lets_go_of_the_joints_and_removes_the_socket(whole):
     plant = Rpc(whole.robot.folder / "plant.sock", checked=False)
     before = plant.get("truth")["ticks"]
     wait_until(lambda: plant.get("truth")["ticks"] > before, what="the plant to go on without the supervisor")
-    assert "supervisor leaves in order" in whole.plant.text() and "left out" not in whole.plant.text()
+    whole.plant.wait_for("supervisor leaves in order")
+    assert "left out" not in whole.plant.text()
 
 
 def test_sigterm_does_not_wait_for_a_joint_that_is_gone(whole):

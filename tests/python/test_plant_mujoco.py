@@ -80,7 +80,7 @@ def mujoco_motion(dump):
 def test_free_swing(program, source_dir, robot, time_s, tolerance_rad):
     worst = {}
     for substep_us in (100, 25):
-        tool = program("sim_vcan/plant/mrr_plant_dump")
+        tool = program("tests/unit/plant/mrr_plant_dump")
         command = [tool, source_dir / "robots" / robot, "--time", str(time_s), "--substep", str(substep_us)]
         dump = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
         plant = np.array([s["link"] + s["motor"] for s in dump["trajectory"]])

@@ -1,9 +1,12 @@
 // The whole robot for tests: the example arms, the boards, jobs in the world, and what a test may do to them.
 #pragma once
 
+#include <gtest/gtest.h>
+
 #include <filesystem>
 #include <functional>
 #include <string>
+#include <vector>
 
 #include "common/robot/robot.h"
 #include "sim_vcan/world/hammer_job.h"
@@ -42,6 +45,37 @@ inline int count(const std::vector<sup::Event>& events, sup::EventKind kind) {
   for (const sup::Event& event : events) n += event.kind == kind ? 1 : 0;
   return n;
 }
+
+/// mrr3 on foam, at rest, with no session: the test is the one who asks. Events are kept.
+class WatchedRobot : public testing::Test {
+ protected:
+  WatchedRobot() { put_to_rest(world_); }
+  [[nodiscard]] sup::Supervisor& supervisor() { return world_.supervisor(); }
+  /// True if the supervisor stepped.
+  bool step() {
+    world_.step();
+    if (!world_.supervisor_stepped()) return false;
+    for (const sup::Event& event : supervisor().events()) events_.push_back(event);
+    supervisor().events().clear();
+    return true;
+  }
+  template <typename Condition>
+  [[nodiscard]] bool run_until(Condition&& condition, Duration limit = milliseconds(20'000)) {
+    const Time end = world_.now() + limit;
+    while (world_.now() < end) {
+      if (step() && condition()) return true;
+    }
+    return false;
+  }
+  void run_for(Duration time) {
+    const Time end = world_.now() + time;
+    while (world_.now() < end) step();
+  }
+
+  const RobotDescription robot_ = example("mrr3");
+  World world_{robot_, plant_on(robot_, "styrofoam"), seeded(1).world};
+  std::vector<sup::Event> events_;
+};
 
 inline bool planned_passive(const sup::StrikePlan& plan, std::size_t joint) {
   return ((plan.passive >> joint) & 1U) != 0;

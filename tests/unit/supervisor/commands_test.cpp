@@ -20,29 +20,8 @@ using sup::Refusal;
 
 int port_of(int joint) { return joint + 1; }
 
-class Commands : public testing::Test {
+class Commands : public WatchedRobot {
  protected:
-  Commands() { put_to_rest(world_); }
-  [[nodiscard]] sup::Supervisor& supervisor() { return world_.supervisor(); }
-  bool step() {
-    world_.step();
-    if (!world_.supervisor_stepped()) return false;
-    for (const sup::Event& event : supervisor().events()) events_.push_back(event);
-    supervisor().events().clear();
-    return true;
-  }
-  template <typename Condition>
-  [[nodiscard]] bool run_until(Condition&& condition, Duration limit = milliseconds(20'000)) {
-    const Time end = world_.now() + limit;
-    while (world_.now() < end) {
-      if (step() && condition()) return true;
-    }
-    return false;
-  }
-  void run_for(Duration time) {
-    const Time end = world_.now() + time;
-    while (world_.now() < end) step();
-  }
   /// Runs until the last command has ended; whether it was done.
   [[nodiscard]] bool done(Duration limit = milliseconds(120'000)) {
     return run_until([&] { return supervisor().command().state != CommandState::running; }, limit) &&
@@ -61,10 +40,6 @@ class Commands : public testing::Test {
   [[nodiscard]] bool braked(int joint) const {
     return !world_.plant().truth().brake_released[static_cast<std::size_t>(joint)];
   }
-
-  const RobotDescription robot_ = example("mrr3");
-  World world_{robot_, plant_on(robot_, "styrofoam"), seeded(1).world};
-  std::vector<sup::Event> events_;
 };
 
 TEST_F(Commands, DisableStopsTheMotionThenBrakesAllJoints) {

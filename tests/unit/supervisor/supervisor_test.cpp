@@ -16,10 +16,9 @@ using sup::EventKind;
 int port_of(int joint) { return joint + 1; }
 
 /// A robot with one planned swing that the test may run, without a session.
-class Supervised : public testing::Test {
+class Supervised : public WatchedRobot {
  protected:
   Supervised() {
-    put_to_rest(world_);
     world_.on_frame = [this](const Delivery& delivery) {
       if (delivery.frame.id == 0x181 && !delivery.frame.extended) selections_.push_back(delivery.at);
     };
@@ -29,27 +28,8 @@ class Supervised : public testing::Test {
     };
   }
   static std::size_t at(int i) { return static_cast<std::size_t>(i); }
-  [[nodiscard]] sup::Supervisor& supervisor() { return world_.supervisor(); }
 
-  bool step() {
-    world_.step();
-    if (!world_.supervisor_stepped()) return false;
-    for (const sup::Event& event : supervisor().events()) events_.push_back(event);
-    supervisor().events().clear();
-    return true;
-  }
-  template <typename Condition>
-  [[nodiscard]] bool run_until(Condition&& condition, Duration limit = milliseconds(20'000)) {
-    const Time end = world_.now() + limit;
-    while (world_.now() < end) {
-      if (step() && condition()) return true;
-    }
-    return false;
-  }
-  void run_for(Duration time) {
-    const Time end = world_.now() + time;
-    while (world_.now() < end) step();
-  }
+  using WatchedRobot::run_until;
   [[nodiscard]] bool run_until(Activity activity) {
     return run_until([&] { return supervisor().activity() == activity; });
   }
@@ -87,9 +67,6 @@ class Supervised : public testing::Test {
     return n;
   }
 
-  const RobotDescription robot_ = example("mrr3");
-  World world_{robot_, plant_on(robot_, "styrofoam"), seeded(1).world};
-  std::vector<sup::Event> events_;
   std::vector<Time> selections_;
   std::array<std::uint32_t, kMaxJoints> rejected_{};
   std::array<bool, kMaxJoints> was_passive_{};
