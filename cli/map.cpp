@@ -82,7 +82,7 @@ Json map_json(const RobotDescription& robot, const sup::MeasureMap& map) {
   for (int row = 0; row < map.rows; ++row) {
     Json values = Json::array();
     for (int column = 0; column < map.columns; ++column) {
-      values.push_back(sup::number(map.cells[static_cast<std::size_t>(row * map.columns + column)].value));
+      values.push_back(sup::number(map.cell(row, column).value));
     }
     rows.push_back(values);
   }
@@ -142,7 +142,7 @@ std::string map_text(const RobotDescription& robot, const sup::MeasureMap& map) 
     for (int column = 0; column < map.columns; ++column) {
       const double half_x = 0.5 * (map.high_m - map.low_m) / map.columns;
       const double half_z = 0.5 * (map.top_m - map.bottom_m) / map.rows;
-      const sup::MapCell& cell = map.cells[static_cast<std::size_t>(row * map.columns + column)];
+      const sup::MapCell& cell = map.cell(row, column);
       if (std::abs(map.x_m(column) - nail_along) <= half_x && std::abs(map.z_m(row) - nail_up) <= half_z) {
         line += 'N';
       } else if (cell.q.size() == 0) {

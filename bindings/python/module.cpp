@@ -416,8 +416,7 @@ void bind_measures(py::module_& m) {
                                Eigen::MatrixXd values(map.rows, map.columns);
                                for (int row = 0; row < map.rows; ++row) {
                                  for (int column = 0; column < map.columns; ++column) {
-                                   values(row, column) =
-                                       map.cells[static_cast<std::size_t>(row * map.columns + column)].value;
+                                   values(row, column) = map.cell(row, column).value;
                                  }
                                }
                                return values;

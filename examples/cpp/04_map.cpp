@@ -17,7 +17,7 @@ int main(int argc, char** argv) {
   std::printf("%s, %s\n", sup::info(map.measure).name, sup::info(map.measure).unit);
   for (int row = map.rows - 1; row >= 0; --row) {
     for (int column = 0; column < map.columns; ++column) {
-      const sup::MapCell& cell = map.cells[static_cast<std::size_t>(row * map.columns + column)];
+      const sup::MapCell& cell = map.cell(row, column);
       cell.q.size() == 0 ? std::printf("   .") : std::printf(" %3.0f", cell.value);
     }
     std::printf("   %.2f m\n", map.z_m(row));

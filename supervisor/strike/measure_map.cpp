@@ -141,7 +141,7 @@ MeasureMap measure_map(const RobotDescription& robot, const Chain& chain, const 
   map.cells.resize(static_cast<std::size_t>(map.columns * map.rows));
   for (int row = 0; row < map.rows; ++row) {
     for (int column = 0; column < map.columns; ++column) {
-      MapCell& cell = map.cells[static_cast<std::size_t>(row * map.columns + column)];
+      MapCell& cell = map.cells[map.index(row, column)];
       target.position_m = map.origin_m + map.along * map.x_m(column) + up * map.z_m(row);
       if ((target.position_m - base).norm() > chain.reach_m()) continue;
       for (const FaceSolution& s : solve_face_on_point(robot, chain, target, near, options).solutions) {

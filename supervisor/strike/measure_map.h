@@ -94,6 +94,10 @@ struct MeasureMap {
   Eigen::Vector3d origin_m = Eigen::Vector3d::Zero();  ///< of the plane's coordinates, base frame
   double max_tilt_rad = 0.0;
   std::vector<MapCell> cells;  ///< row by row from the bottom
+  [[nodiscard]] std::size_t index(int row, int column) const {
+    return static_cast<std::size_t>(row) * static_cast<std::size_t>(columns) + static_cast<std::size_t>(column);
+  }
+  [[nodiscard]] const MapCell& cell(int row, int column) const { return cells[index(row, column)]; }
   [[nodiscard]] double x_m(int column) const { return low_m + (high_m - low_m) * (column + 0.5) / columns; }
   [[nodiscard]] double z_m(int row) const { return bottom_m + (top_m - bottom_m) * (row + 0.5) / rows; }
 };
