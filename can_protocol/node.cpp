@@ -52,6 +52,24 @@ void copy_range(const ObjectDictionary& from, ObjectDictionary& to, std::uint16_
   }
 }
 
+/// A mapped object's bytes; the sizes that objects have are one instruction each.
+inline void copy_bytes(unsigned char* to, const unsigned char* from, std::size_t size) noexcept {
+  switch (size) {
+    case 1:
+      *to = *from;
+      return;
+    case 2:
+      std::memcpy(to, from, 2);
+      return;
+    case 4:
+      std::memcpy(to, from, 4);
+      return;
+    default:
+      std::memcpy(to, from, size);
+      return;
+  }
+}
+
 /// Consumer heartbeat time (1016h): node id and timeout.
 constexpr std::uint8_t watched_node(std::uint32_t v) noexcept { return static_cast<std::uint8_t>(v >> 16U); }
 constexpr Duration watched_timeout(std::uint32_t v) noexcept { return milliseconds(v & 0xFFFFU); }
@@ -90,6 +108,7 @@ void Node::change_node_id(std::uint8_t to) noexcept {
 
 void Node::handle(const ReceivedFrame& received, TransmitQueue& tx) noexcept {
   if (!started_) return;
+  wake();
   const Frame& f = received.frame;
   const Time now = received.at;
   if (f.extended || f.remote || f.fd || f.length > 8 || f.id > kElevenBit) return reject();
@@ -216,21 +235,23 @@ void Node::handle_rpdo(std::size_t i, const Frame& f, Time now) noexcept {
     raise(Emergency::pdo_length, {static_cast<std::uint8_t>(i + 1), f.length, static_cast<std::uint8_t>(total)}, now);
     return reject();
   }
-  std::size_t at = 0;
-  for (const Mapped& m : layout.objects) {
-    if (m.entry && (m.entry->limits != kNoLimits || m.entry->type == Type::f32)) {
-      Value v;
-      v.size = m.size;
-      std::memcpy(v.bytes.data(), f.data.data() + at, m.size);
-      if (check_value(*m.entry, v) != Abort::none) {
-        ++od_.count_rejected_pdos;
-        return reject();
+  if (layout.checked) {
+    std::size_t at = 0;
+    for (const Mapped& m : layout.objects) {
+      if (m.checked) {
+        Value v;
+        v.size = m.size;
+        std::memcpy(v.bytes.data(), f.data.data() + at, m.size);
+        if (check_value(*m.entry, v) != Abort::none) {
+          ++od_.count_rejected_pdos;
+          return reject();
+        }
       }
+      at += m.size;
     }
-    at += m.size;
   }
 
-  std::memcpy(r.data.data(), f.data.data(), total);
+  std::memcpy(r.data.data(), f.data.data(), kMaxPdoBytes);
   r.received = now;
   r.watched = true;
   r.too_short = false;
@@ -260,11 +281,13 @@ void Node::deliver(std::size_t i, Time now) noexcept {
   auto* const objects = reinterpret_cast<unsigned char*>(&od_);
   std::size_t at = 0;
   for (const Mapped& m : layout.objects) {
-    if (m.entry) std::memcpy(objects + m.entry->offset, r.data.data() + at, m.size);
+    if (m.entry) copy_bytes(objects + m.offset, r.data.data() + at, m.size);
     at += m.size;
   }
-  for (const Mapped& m : layout.objects) {
-    if (m.entry) after_write(id_of(*m.entry), WriteSource::rpdo, now);
+  if (layout.followed) {
+    for (const Mapped& m : layout.objects) {
+      if (m.followed) after_write(id_of(*m.entry), WriteSource::rpdo, now);
+    }
   }
   application_.pdo_delivered(static_cast<std::uint8_t>(i + 1), r.received);
 }
@@ -552,7 +575,7 @@ Abort Node::find_mapped(std::uint32_t mapping, bool receive, Mapped& out) const 
   if (const Abort a = find(index, sub, entry); a != Abort::none) return a;
   if (!(entry->flags & (receive ? kRpdoMappable : kTpdoMappable))) return Abort::not_mappable;
   if (bits != 8U * entry->size) return Abort::not_mappable;
-  out = {entry, static_cast<std::uint8_t>(entry->size)};
+  out = {entry, static_cast<std::uint8_t>(entry->size), entry->offset};
   return Abort::none;
 }
 
@@ -561,6 +584,13 @@ Node::Layout Node::layout_of(const PdoMapping& map, bool receive) const noexcept
   for (std::size_t k = 0; k < map.count; ++k) {
     Mapped m{};
     if (k >= kMaxMappedObjects || find_mapped(map.entries[k], receive, m) != Abort::none) return {};
+    if (receive && m.entry) {
+      m.checked = m.entry->limits != kNoLimits || m.entry->type == Type::f32;
+      const ObjectId id = id_of(*m.entry);
+      m.followed = id == ObjectId::selection_command || application_.follows(id);
+      layout.checked = layout.checked || m.checked;
+      layout.followed = layout.followed || m.followed;
+    }
     (void)layout.objects.push_back(m);
     layout.bytes += m.size;
   }
@@ -630,7 +660,7 @@ std::size_t Node::pack(std::size_t i, std::array<std::uint8_t, kMaxPdoBytes>& da
   const auto* const objects = reinterpret_cast<const unsigned char*>(&od_);
   std::size_t at = 0;
   for (const Mapped& m : tpdo_layout_[i].objects) {
-    std::memcpy(data.data() + at, objects + m.entry->offset, m.size);
+    copy_bytes(data.data() + at, objects + m.offset, m.size);
     at += m.size;
   }
   return at;
@@ -668,6 +698,7 @@ void Node::tick_tpdo(std::size_t i, Time now, TransmitQueue& tx) noexcept {
 
 void Node::request_tpdo(std::uint8_t number) noexcept {
   if (number >= 1 && number <= kTpdoCount) tpdo_[number - 1U].requested = true;
+  wake();
 }
 
 // ---- states and timers ----
@@ -728,6 +759,7 @@ void Node::error_behaviour(Time now) noexcept {
 }
 
 void Node::tick(Time now, TransmitQueue& tx) noexcept {
+  if (now < wake_at_) return;
   if (!started_) {
     started_ = true;
     power_on_ = od_;
@@ -740,16 +772,15 @@ void Node::tick(Time now, TransmitQueue& tx) noexcept {
   }
   tick_watched(now);
   if (state_ == NmtState::operational) {
-    for (std::size_t i = 0; timed_rpdos_ >> i != 0; ++i) {
-      const Duration deadline = milliseconds(od_.rpdo_communication[i].event_timer_ms);
+    for (std::uint32_t left = timed_rpdos_; left != 0; left &= left - 1U) {
+      const auto i = static_cast<std::size_t>(std::countr_zero(left));
       Rpdo& r = rpdo_[i];
-      if ((timed_rpdos_ >> i & 1U) == 0 || !r.watched || r.late) continue;
-      if (now - r.received <= deadline) continue;
+      if (!r.watched || r.late || now <= deadline_of(i)) continue;
       r.late = true;
       raise(Emergency::rpdo_timeout, {static_cast<std::uint8_t>(i + 1)}, now);
     }
-    for (std::size_t i = 0; timed_tpdos_ >> i != 0; ++i) {
-      if ((timed_tpdos_ >> i & 1U) != 0) tick_tpdo(i, now, tx);
+    for (std::uint32_t left = timed_tpdos_; left != 0; left &= left - 1U) {
+      tick_tpdo(static_cast<std::size_t>(std::countr_zero(left)), now, tx);
     }
   }
   if (od_.producer_heartbeat_ms != 0 && now >= next_heartbeat_) {
@@ -765,6 +796,35 @@ void Node::tick(Time now, TransmitQueue& tx) noexcept {
   }
   overflowed_ = false;
   tick_emergency(now, tx);
+  wake_at_ = next_wake(now);
+}
+
+Time Node::next_wake(Time now) const noexcept {
+  if (overflowed_ || !errors_.empty() || !emergencies_.empty()) return kNow;
+  Time soonest = od_.producer_heartbeat_ms != 0 ? next_heartbeat_ : Time{std::numeric_limits<std::int64_t>::max()};
+  const auto at = [&](Time t) {
+    if (t < soonest) soonest = t;
+  };
+  if (sdo_.transfer != Transfer::none) at(sdo_.last + config_.sdo_timeout);
+  if (watches_) {
+    for (std::size_t i = 0; i < kMaxWatched; ++i) {
+      const Watched& w = watched_[i];
+      if (w.running && !w.lost) at(w.last + watched_timeout(od_.consumer_heartbeat[i]));
+    }
+  }
+  if (state_ != NmtState::operational) return soonest;
+  for (std::uint32_t left = timed_rpdos_; left != 0; left &= left - 1U) {
+    const auto i = static_cast<std::size_t>(std::countr_zero(left));
+    if (rpdo_[i].watched && !rpdo_[i].late) at(deadline_of(i));
+  }
+  for (std::uint32_t left = timed_tpdos_; left != 0; left &= left - 1U) {
+    const auto i = static_cast<std::size_t>(std::countr_zero(left));
+    const PdoCommunication& pdo = od_.tpdo_communication[i];
+    // On change: every tick may bring one.
+    if (pdo.transmission_type != kTimerOnlyType || tpdo_[i].requested) return now;
+    if (pdo.event_timer_ms != 0) at(tpdo_[i].sent + milliseconds(pdo.event_timer_ms));
+  }
+  return soonest;
 }
 
 void Node::tick_watched(Time now) noexcept {
@@ -781,6 +841,7 @@ void Node::tick_watched(Time now) noexcept {
 }
 
 void Node::bus_off(Time now) noexcept {
+  wake();
   ++od_.count_bus_off;
   for (Rpdo& r : rpdo_) r.pending = false;
   error_behaviour(now);
@@ -795,12 +856,14 @@ void Node::send(const Frame& f, TransmitQueue& tx) noexcept {
   if (tx.push_back(f)) return;
   ++od_.count_transmit_overflow;
   overflowed_ = true;
+  wake();
 }
 
 // ---- errors ----
 
 void Node::raise(Emergency code, const std::array<std::uint8_t, 5>& detail, Time) noexcept {
   if (code == Emergency::none || is_present(code)) return;
+  wake();
   if (!errors_.push_back({code, register_bits(code)})) return;
   update_error_register();
   auto& history = od_.error_history;
@@ -820,6 +883,7 @@ void Node::clear(Emergency code, Time) noexcept {
   errors_.truncate(kept);
   update_error_register();
   queue_emergency(0, {});
+  wake();
 }
 
 bool Node::is_present(Emergency code) const noexcept {

@@ -2,6 +2,7 @@
 // Freestanding, fixed memory, noexcept; it touches nothing but its object dictionary and the queue it is handed.
 #pragma once
 
+#include <limits>
 #include <optional>
 
 #include "can_protocol/frame.h"
@@ -29,6 +30,8 @@ class NodeApplication {
   virtual Abort may_write(ObjectId, const Value&) noexcept { return Abort::none; }
   /// An object has its new value. A PDO's objects are all written before the first of these calls.
   virtual void written(ObjectId, WriteSource, Time) noexcept {}
+  /// Whether written() shall tell of this object when a PDO writes it. Asked when a mapping is laid out.
+  [[nodiscard]] virtual bool follows(ObjectId) const noexcept { return true; }
   /// RPDO `number` (1-4) was accepted and its objects are in force; it had arrived at `received`.
   virtual void pdo_delivered(std::uint8_t /*number*/, Time /*received*/) noexcept {}
   /// SYNC arrived (hardware time of the frame); the synchronous RPDOs before it are delivered, TPDOs go out after this
@@ -137,11 +140,16 @@ class Node {
   struct Mapped {
     const Entry* entry;
     std::uint8_t size;
+    std::uint16_t offset = 0;  ///< of the object in ObjectDictionary
+    bool checked = false;      ///< RPDO: not every value is one
+    bool followed = false;     ///< RPDO: somebody wants to hear of a new value
   };
   /// A mapping as it is used: looked up once when it changes, not at every PDO. No objects: nothing usable is mapped.
   struct Layout {
     StaticVector<Mapped, kMaxMappedObjects> objects;
     std::size_t bytes = 0;
+    bool checked = false;  ///< any of them
+    bool followed = false;
   };
 
   void boot_up(Time now, TransmitQueue& tx) noexcept;
@@ -155,10 +163,14 @@ class Node {
   [[nodiscard]] bool is_unconfigured() const noexcept { return config_.node_id == kUnconfiguredNodeId; }
   void handle_lss(const Frame& f, Time now, TransmitQueue& tx) noexcept;
   void handle_nmt(const Frame& f, Time now, TransmitQueue& tx) noexcept;
-  void handle_sync(const Frame& f, Time now, TransmitQueue& tx) noexcept;
+  inline void handle_sync(const Frame& f, Time now, TransmitQueue& tx) noexcept;
   void handle_heartbeat(const Frame& f, Time now) noexcept;
-  void handle_rpdo(std::size_t i, const Frame& f, Time now) noexcept;
-  void deliver(std::size_t i, Time now) noexcept;
+  inline void handle_rpdo(std::size_t i, const Frame& f, Time now) noexcept;
+  /// Until then another one has to come.
+  [[nodiscard]] Time deadline_of(std::size_t i) const noexcept {
+    return rpdo_[i].received + milliseconds(od_.rpdo_communication[i].event_timer_ms);
+  }
+  inline void deliver(std::size_t i, Time now) noexcept;
   void handle_sdo(const Frame& f, Time now, TransmitQueue& tx) noexcept;
   void sdo_download(const Frame& f, Time now, TransmitQueue& tx) noexcept;
   void sdo_download_segment(const Frame& f, Time now, TransmitQueue& tx) noexcept;
@@ -184,11 +196,14 @@ class Node {
   void after_write(ObjectId id, WriteSource source, Time now) noexcept;
 
   /// The mapped objects' bytes and their number; 0 if nothing is mapped.
-  [[nodiscard]] std::size_t pack(std::size_t i, std::array<std::uint8_t, kMaxPdoBytes>& data) const noexcept;
+  [[nodiscard]] inline std::size_t pack(std::size_t i, std::array<std::uint8_t, kMaxPdoBytes>& data) const noexcept;
   void send_tpdo(std::size_t i, Time now, TransmitQueue& tx) noexcept;
-  void tick_tpdo(std::size_t i, Time now, TransmitQueue& tx) noexcept;
-  void tick_watched(Time now) noexcept;
-  void tick_emergency(Time now, TransmitQueue& tx) noexcept;
+  inline void tick_tpdo(std::size_t i, Time now, TransmitQueue& tx) noexcept;
+  inline void tick_watched(Time now) noexcept;
+  /// When tick() has something to do next, unless something happens before: then wake_at_ is set to the beginning.
+  [[nodiscard]] inline Time next_wake(Time now) const noexcept;
+  void wake() noexcept { wake_at_ = kNow; }
+  inline void tick_emergency(Time now, TransmitQueue& tx) noexcept;
   void queue_emergency(std::uint16_t code, const std::array<std::uint8_t, 5>& detail) noexcept;
   void update_error_register() noexcept;
   void send(const Frame& f, TransmitQueue& tx) noexcept;
@@ -202,6 +217,8 @@ class Node {
   NmtState state_ = NmtState::initialising;
   bool started_ = false;
   bool overflowed_ = false;
+  static constexpr Time kNow{std::numeric_limits<std::int64_t>::min()};
+  Time wake_at_ = kNow;
   Time next_heartbeat_{};
   std::array<Layout, kRpdoCount> rpdo_layout_{};
   std::array<Layout, kTpdoCount> tpdo_layout_{};

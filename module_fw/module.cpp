@@ -30,6 +30,10 @@ constexpr float kIdentificationSpeed = 0.8F;       // of the velocity limit
 constexpr float kIdentificationLoad = 0.7F;        // of the sensed load
 constexpr Duration kDampTime = milliseconds(150);  // ... which closes then at the latest
 constexpr std::uint32_t kNotWatched = 0xFFFF'FFFFU;
+constexpr unsigned kLimitSwitches = std::uint8_t{kInputNegativeLimit} | std::uint8_t{kInputPositiveLimit};
+// What a reset does not take away.
+constexpr std::uint64_t kStandsByItself = FaultMonitor::bit(Fault::configuration) | FaultMonitor::bit(Fault::storage) |
+                                          FaultMonitor::bit(Fault::limit_switch);
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 
 #ifndef MRR_NO_TEST_OBJECTS
@@ -132,10 +136,11 @@ Module::Module(const ModuleConfig& config) noexcept
       drive_(config_.drive, config_.sensing, config_.limits, dt_s_),
       brake_(config_.brake),
       usable_at_start_(usable(config)),
-      configuration_valid_(usable_at_start_),
       faults_(config_.tick),
       sensor_watch_(config_) {
+  stand_if(Fault::configuration, !usable_at_start_);
   status_.homed = config_.sensing.encoder_absolute;
+  overrun_after_ = config_.tick + config_.tick / 2;
   homing_.configure(config_.homing);
   apply_live_parameters();
 }
@@ -251,8 +256,8 @@ void Module::apply_parameters() noexcept {
   const bool new_period = knot_period != c.knot_period;
   const bool new_bit = c.selection_bit != config_.selection_bit;
   c.knot_period = knot_period;
-  configuration_valid_ = usable_at_start_ && usable(c);
-  if (!configuration_valid_) return;
+  stand_if(Fault::configuration, !(usable_at_start_ && usable(c)));
+  if (!configuration_valid()) return;
   config_ = c;
   reference_ = Reference(c.reference, c.limits, dt_s_);
   active_ = ActiveLaw(c.control, c.friction, dt_s_);
@@ -268,7 +273,7 @@ void Module::apply_parameters() noexcept {
 
 void Module::load_parameters(can::StoragePort& port) noexcept {
   store_.load(port, od_, node_.config().node_id);
-  stored_refused_ = store_.state() == can::StorageState::refused;
+  stand_if(Fault::stored_parameters, store_.state() == can::StorageState::refused);
   od_.configuration_hash = can::hash_with_changes(config_.configuration_hash, node_.factory(), od_);
   parameters_changed_ = true;
   apply_live_parameters();
@@ -286,7 +291,7 @@ can::Abort Module::store(Time) noexcept {
   const can::Abort refused = begin_write(&od_);
   if (refused == can::Abort::none) {
     od_.configuration_hash = can::hash_with_changes(config_.configuration_hash, node_.factory(), od_);
-    stored_refused_ = false;
+    pass(Fault::stored_parameters);
   }
   return refused;
 }
@@ -294,6 +299,7 @@ can::Abort Module::store(Time) noexcept {
 can::Abort Module::restore_defaults(Time) noexcept { return begin_write(nullptr); }
 
 void Module::publish_storage() noexcept {
+  stand_if(Fault::storage, store_.lost_something());
   od_.storage_state = static_cast<std::uint8_t>(store_.state());
   od_.storage_version = store_.version();
   od_.storage_slot = store_.slot();
@@ -320,7 +326,7 @@ can::Abort Module::may_write(can::ObjectId id, [[maybe_unused]] const can::Value
 void Module::written(can::ObjectId id, can::WriteSource source, Time at) noexcept {
 #ifndef MRR_NO_TEST_OBJECTS
   if (id == can::ObjectId::test_fault) {
-    test_fault_ = fault_of(static_cast<Emergency>(od_.test_fault));
+    provoked_ = FaultMonitor::bit(fault_of(static_cast<Emergency>(od_.test_fault)));
     return;
   }
 #endif
@@ -354,14 +360,16 @@ void Module::pdo_delivered(std::uint8_t number, Time received) noexcept {
   if (number == 2) knot_position_came_ = true;
   if (number == 3) {
     knot_acceleration_came_ = knots_have_sequence_ = true;
-    model_torque_at_ = received;
+    knot_came_at_ = received;
+    model_torque_until_ = received + pll_.period() * 3;
   }
 }
 
 void Module::sync(Time at, std::optional<std::uint8_t> counter) noexcept {
   const SyncPll::Arrival arrival = pll_.on_sync(at);
-  sync_seen_ = true;
-  last_sync_at_ = at;
+  const Duration quiet = milliseconds(od_.watchdog_sync_ms);
+  const Duration periods = pll_.period() * 4;
+  sync_due_ = od_.watchdog_sync_ms == 0 ? kNever : at + (quiet > periods ? quiet : periods);
   // Delivered twice: it says nothing new, and the knot that came meanwhile is for the next one.
   if (arrival.periods == 0) return;
   sync_counter_ = counter;
@@ -388,7 +396,7 @@ void Module::sync(Time at, std::optional<std::uint8_t> counter) noexcept {
     knot.state.acceleration_rad_s2 = static_cast<float>(od_.target_acceleration_mrad_s2) * 1e-3F;
     knot.sequence = od_.knot_sequence;
     // It came for an earlier SYNC, which was lost: on the way meanwhile, as it says itself.
-    const std::int64_t late = (at - model_torque_at_ + Duration{period.ns / 2}) / period - 1;
+    const std::int64_t late = (at - knot_came_at_ + Duration{period.ns / 2}) / period - 1;
     if (late > 0) knot.state = carried_on(knot.state, short_seconds(period.ns) * static_cast<float>(late));
   } else {
     // Positions alone: the velocity is their difference.
@@ -411,9 +419,10 @@ void Module::offer_knot(const Knot& knot, Duration period) noexcept {
     case KnotVerdict::resynchronised:
       passive_ended_by_ = LimitCode::none;
       passivity_lost_ = false;
-      knots_lost_ = false;
+      pass(Fault::knots_lost);
       [[fallthrough]];
     case KnotVerdict::accepted:
+      knot_due_ = pll_.sync_time() + pll_.period() * config_.watchdog.missing_knots + pll_.period() / 4;
       hold_reason_ = LimitCode::none;
       limit_stop_ = false;
       ++status_.knots_accepted;
@@ -533,11 +542,16 @@ void Module::fail(Fault fault, Time now) noexcept {
 
 // Everything that the table of faults says, looked for. What is in force in this tick stands in faults_ afterwards.
 void Module::watch(Time now, const RawSensors& sensors) noexcept {
-  faults_.begin_tick();
+  faults_.begin_tick(standing_ | provoked_);
   find_faults(now, sensors);
+  faults_.conclude();
   const std::uint64_t present = faults_.present();
   if ((present | raised_) != 0) settle_faults(now);
   if (machine_.state() != DriveState::fault_reaction_active) reaction_ = Reaction::report;
+#ifndef MRR_NO_TEST_OBJECTS
+  // A provoked fault that ends in no FAULT is over at once: there would be nothing to reset.
+  if (!faults_.disables()) provoked_ = 0;
+#endif
   if (!faults_.disables()) return;
   const Reaction wanted = od_.fault_reaction_option_code == 0 ? Reaction::torque_off : faults_.worst();
   if (reaction_ == Reaction::report) reaction_since_ = now;
@@ -566,61 +580,22 @@ void Module::settle_faults(Time now) noexcept {
   }
 }
 
-void Module::find_flagged_faults() noexcept {
-  const auto find_if = [&](Fault fault, bool stands) {
-    if (stands) faults_.find(fault);
-  };
-  find_if(Fault::configuration, !configuration_valid_);
-  find_if(Fault::loop_overrun, late_);
-  find_if(Fault::stored_parameters, stored_refused_);
-  find_if(Fault::storage, store_.lost_something());
-  find_if(Fault::limit_switch, limit_switch_hit_);
-  find_if(Fault::knots_lost, knots_lost_);
-  find_if(Fault::torque_target_lost, torque_target_lost_);
-  find_if(Fault::homing_failed, mode_ == Mode::homing && homing_.phase() == Homing::Phase::failed);
-  switch (brake_trouble_) {
-    case BrakeSequence::Trouble::none:
-      break;
-    case BrakeSequence::Trouble::torque_not_confirmed:
-      faults_.find(Fault::torque_not_confirmed);
-      break;
-    case BrakeSequence::Trouble::not_released:
-      faults_.find(Fault::brake_not_released);
-      break;
-    case BrakeSequence::Trouble::not_engaged:
-      faults_.find(Fault::brake_not_engaged);
-      break;
-  }
-#ifndef MRR_NO_TEST_OBJECTS
-  if (test_fault_ != Fault::none) {
-    faults_.find(test_fault_);
-    if (faults_.reaction_of(test_fault_) < Reaction::stop) test_fault_ = Fault::none;  // nothing to reset
-  }
-#endif
-}
-
 void Module::find_faults(Time now, const RawSensors& sensors) noexcept {
   const ModuleConfig& c = config_;
   const bool enabled = machine_.state() == DriveState::operation_enabled;
-  const bool held = brake_.phase() == BrakeSequence::Phase::off;
   const MotionState& r = reference_.state();
   const float sum = sensing_.position_rad() + sensing_.velocity_rad_s() + r.position_rad + r.velocity_rad_s +
                     r.acceleration_rad_s2 + load_torque_nm_ + drive_.thermal_load();
-  faults_.check(Fault::not_a_number, torque_not_finite_ || !is_finite(sum));
-  // Flags that hardly ever stand: looked at one by one only when one does.
-  const bool any_flag = !configuration_valid_ || late_ || stored_refused_ || store_.lost_something() || knots_lost_ ||
-                        torque_target_lost_ || limit_switch_hit_ || test_fault_ != Fault::none ||
-                        brake_trouble_ != BrakeSequence::Trouble::none || homing_.phase() == Homing::Phase::failed;
-  if (any_flag) find_flagged_faults();
+  faults_.check(Fault::not_a_number, !is_finite(sum));
+  faults_.check(Fault::homing_failed, homing_.phase() == Homing::Phase::failed && mode_ == Mode::homing);
   faults_.check(Fault::power_stage, sensing_.input(kInputPowerStageFault));
   if (!sensing_.complete() && now - started_at_ <= kSensorStart) return;  // still starting
 
-  const bool sensed = sensing_.joint_torque_nm().valid;
   sensor_watch_.update(sensors, sensing_,
                        {.free = brake_.brake_open() && sensing_.input(kInputBrakeReleased),
                         .commanded_a = drive_.commanded_current_a(),
-                        .load_nm = sensed ? sensing_.joint_torque_nm().value : load_torque_nm_,
-                        .load_known = sensed || model_torque_fresh(now)},
+                        .model_nm = load_torque_nm_,
+                        .model_known = model_torque_fresh(now)},
                        faults_);
   const bool torque_lost = c.sensing.torque_sensor && !sensing_.joint_torque_nm().valid;
   if (!sensor_watch_.torque_trusted()) sensing_.distrust_torque();
@@ -630,31 +605,26 @@ void Module::find_faults(Time now, const RawSensors& sensors) noexcept {
   const Reading& winding = sensing_.winding_c();
   const Reading& stage = sensing_.drive_c();
   const Reading& voltage = sensing_.bus_voltage_v();
-  if (faults_.check(Fault::temperature_sensor, !winding.valid || !stage.valid)) {
-  } else {
+  if (winding.valid && stage.valid) {
     faults_.check(Fault::winding_over_temperature, !(winding.value < c.drive.max_winding_temperature_c));
     faults_.check(Fault::drive_over_temperature, !(stage.value < c.drive.max_drive_temperature_c));
+  } else {
+    faults_.find(Fault::temperature_sensor);
   }
   faults_.check(Fault::thermal_overload, !(drive_.thermal_load() <= can::row_of(Fault::thermal_overload).threshold));
   faults_.check(Fault::under_voltage, !voltage.valid || !(voltage.value >= c.drive.min_bus_voltage_v));
   faults_.check(Fault::over_voltage, voltage.valid && !(voltage.value <= c.drive.max_bus_voltage_v));
-  const bool lower = sensing_.input(kInputNegativeLimit);
-  const bool upper = sensing_.input(kInputPositiveLimit);
-  faults_.check(Fault::limit_switches, lower && upper);
-  if (!lower && !upper) limit_switch_hit_ = false;
+  const unsigned switches = sensing_.inputs() & kLimitSwitches;
+  faults_.check(Fault::limit_switches, switches == kLimitSwitches);
+  if (switches == 0) pass(Fault::limit_switch);
   // A switch that is armed, or a passive phase that runs, is carried through even without a supervisor: both are
   // bounded.
-  const bool watched = enabled && !(selection_.armed() || passive());
-  faults_.check(Fault::heartbeat_lost, watched && heartbeat_lost_);
-  faults_.check(Fault::sync_lost, watched && sync_seen_ && od_.watchdog_sync_ms != 0 &&
-                                      mode_ == Mode::cyclic_position &&
-                                      now - last_sync_at_ > milliseconds(od_.watchdog_sync_ms) &&
-                                      now - last_sync_at_ > pll_.period() * 4);
-  faults_.check(Fault::bus_off, watched && bus_off_);
-  if (held) {
-    faults_.forget(Fault::over_speed);
-    faults_.forget(Fault::position_limit);
-    faults_.forget(Fault::brake_closed);
+  if (enabled && !(selection_.armed() || passive())) {
+    faults_.check(Fault::heartbeat_lost, heartbeat_lost_);
+    faults_.check(Fault::sync_lost, now > sync_due_ && mode_ == Mode::cyclic_position);
+    faults_.check(Fault::bus_off, bus_off_);
+  }
+  if (brake_.phase() == BrakeSequence::Phase::off) {
     following_error_ticks_ = 0;
     return;
   }
@@ -662,10 +632,11 @@ void Module::find_faults(Time now, const RawSensors& sensors) noexcept {
   faults_.check(Fault::over_speed,
                 !(absolute(v) <= can::row_of(Fault::over_speed).threshold * c.limits.velocity_rad_s));
   const float q = sensing_.position_rad();
-  const float beyond = can::row_of(Fault::position_limit).threshold;
-  faults_.check(Fault::position_limit, status_.homed && ((q > c.limits.upper_rad + beyond && v > kOutward) ||
-                                                         (q < c.limits.lower_rad - beyond && v < -kOutward)));
-  faults_.check(Fault::brake_closed, brake_.brake_open() && !sensing_.input(kInputBrakeReleased));
+  constexpr float kBeyond = can::row_of(Fault::position_limit).threshold;
+  const bool outward =
+      (q > c.limits.upper_rad + kBeyond && v > kOutward) || (q < c.limits.lower_rad - kBeyond && v < -kOutward);
+  if (outward) faults_.check(Fault::position_limit, status_.homed);
+  if (!sensing_.input(kInputBrakeReleased)) faults_.check(Fault::brake_closed, brake_.brake_open());
   if (enabled && selector_.law() == Law::active && brake_.motion_allowed() && !torque_mode() &&
       !selector_.catching_up()) {
     const float error = q - r.position_rad;
@@ -683,8 +654,6 @@ bool Module::without_torque_sensor(Time now) const noexcept {
          (passive() || model_torque_fresh(now));
 }
 
-bool Module::model_torque_fresh(Time now) const noexcept { return now - model_torque_at_ <= pll_.period() * 3; }
-
 bool Module::closing() const noexcept {
   const DriveState s = machine_.state();
   return brake_.phase() != BrakeSequence::Phase::off && s != DriveState::operation_enabled &&
@@ -696,8 +665,9 @@ void Module::decide_state(Time now) noexcept {
   in.controlword = od_.controlword;
   // Motion needs NMT OPERATIONAL; without it an enabled joint is disabled in order.
   if (!status_.operational) in.controlword = static_cast<std::uint16_t>(in.controlword & ~0x08U);
-  in.ready = sensing_.complete();
   in.fault = faults_.disables();
+  if (machine_.settled(in)) return;
+  in.ready = sensing_.complete();
   const DriveState before = machine_.state();
   in.stopped =
       before == DriveState::fault_reaction_active ? brake_.phase() == BrakeSequence::Phase::off : reference_.at_rest();
@@ -721,20 +691,16 @@ void Module::decide_state(Time now) noexcept {
   }
   // A fault that can pass by itself is forgotten once the joint is safe; the latch stays in the state machine.
   if (after == DriveState::fault && machine_.fault_reset_requested() == false) {
-    torque_not_finite_ = false;
-    late_ = false;
-    stored_refused_ = false;
+    standing_ &= kStandsByItself;
     sensor_watch_.reset();
-    test_fault_ = Fault::none;
-    brake_trouble_ = BrakeSequence::Trouble::none;
-    knots_lost_ = torque_target_lost_ = false;
+    provoked_ = 0;
     if (parameters_changed_) apply_parameters();
   }
 }
 
 void Module::enable() noexcept {
   if (parameters_changed_) apply_parameters();
-  if (!configuration_valid_) return;
+  if (!configuration_valid()) return;
   active_.reset();
   reference_.start_at(sensing_.position_rad(), sensing_.velocity_rad_s(), config_.reference.stop_deceleration_rad_s2);
   if (selector_.law() == Law::off) selector_.go_active();
@@ -745,11 +711,14 @@ void Module::enable() noexcept {
   limit_stop_ = false;
   knots_have_sequence_ = false;
   has_last_target_ = false;
-  sync_seen_ = false;
+  sync_due_ = kNever;
   saturated_ = false;
   load_by_model_ = load_catches_up_ = false;
   load_torque_nm_ = sensing_.joint_torque_nm().value;
-  knots_lost_ = torque_target_lost_ = torque_target_came_ = limit_switch_hit_ = false;
+  pass(Fault::knots_lost);
+  pass(Fault::torque_target_lost);
+  pass(Fault::limit_switch);
+  torque_target_came_ = false;
   following_error_ticks_ = 0;
   last_requested_mode_ = od_.modes_of_operation;
   homing_start_bit_ = true;  // a start bit that was set before does not start
@@ -845,9 +814,10 @@ void Module::lead(Time now) noexcept {
   follow_mode(now);
   const Authority before = authority_;
   if (limit_stop_ && mode_ != Mode::cyclic_torque && reference_.at_rest()) limit_stop_ = false;
-  if (torque_target_lost_ && torque_target_came_) {
+  if (torque_target_came_ && stands(Fault::torque_target_lost)) {
     // A target came again: the torque returns, at the slew rate.
-    torque_target_lost_ = limit_stop_ = false;
+    pass(Fault::torque_target_lost);
+    limit_stop_ = false;
     hold_reason_ = LimitCode::none;
   }
   authority_ = arbitrate();
@@ -1067,8 +1037,8 @@ void Module::watch_motion(Time now) noexcept {
   if (!brake_.motion_allowed()) return;
   const float q = sensing_.position_rad();
   const LimitsConfig& l = config_.limits;
-  const bool above = status_.homed && q > l.upper_rad + kPositionSlack;
-  const bool below = status_.homed && q < l.lower_rad - kPositionSlack;
+  const bool above = q > l.upper_rad + kPositionSlack && status_.homed;
+  const bool below = q < l.lower_rad - kPositionSlack && status_.homed;
   if (passive()) {
     LimitCode ended = LimitCode::none;
     if (now - passive_since_ >= config_.passive.max_time) ended = LimitCode::passive_time;
@@ -1076,7 +1046,7 @@ void Module::watch_motion(Time now) noexcept {
     if (!(absolute(sensing_.velocity_rad_s()) <= l.velocity_rad_s)) ended = LimitCode::velocity;
     if (above) ended = LimitCode::position_upper;
     if (below) ended = LimitCode::position_lower;
-    if (sensing_.input(kInputNegativeLimit) || sensing_.input(kInputPositiveLimit)) ended = LimitCode::limit_switch;
+    if ((sensing_.inputs() & kLimitSwitches) != 0) ended = LimitCode::limit_switch;
     if (ended != LimitCode::none) {
       go_active();
       passive_ended_by_ = ended;
@@ -1085,32 +1055,30 @@ void Module::watch_motion(Time now) noexcept {
   }
   const bool led = authority_ == Authority::motion || authority_ == Authority::user_stop || calibrating();
   if (!led) return;
-  const MotionState& r = reference_.state();
   const bool torque = torque_mode();
-  const float direction = torque ? sensing_.velocity_rad_s() : r.velocity_rad_s;
-  // Limit recovery starts outside, from a reference that may still creep.
-  const float still = calibrating() ? kCreep : kStill;
-  const bool up = direction > still;
-  const bool down = direction < -still;
-  if (above && up) stop_at_limit(LimitCode::position_upper);
-  if (below && down) stop_at_limit(LimitCode::position_lower);
-  if ((sensing_.input(kInputPositiveLimit) && up) || (sensing_.input(kInputNegativeLimit) && down)) {
-    limit_switch_hit_ = true;
-    stop_at_limit(LimitCode::limit_switch);
+  if (above || below || (sensing_.inputs() & kLimitSwitches) != 0) {
+    const float direction = torque ? sensing_.velocity_rad_s() : reference_.state().velocity_rad_s;
+    // Limit recovery starts outside, from a reference that may still creep.
+    const float still = calibrating() ? kCreep : kStill;
+    const bool up = direction > still;
+    const bool down = direction < -still;
+    if (above && up) stop_at_limit(LimitCode::position_upper);
+    if (below && down) stop_at_limit(LimitCode::position_lower);
+    if ((sensing_.input(kInputPositiveLimit) && up) || (sensing_.input(kInputNegativeLimit) && down)) {
+      stand(Fault::limit_switch);
+      stop_at_limit(LimitCode::limit_switch);
+    }
   }
   if (torque && torque_target_came_ && od_.watchdog_torque_ms != 0 &&
       now - torque_target_at_ > milliseconds(od_.watchdog_torque_ms)) {
-    torque_target_lost_ = true;
+    stand(Fault::torque_target_lost);
     torque_target_came_ = false;
     stop_at_limit(LimitCode::watchdog);
   }
   // The set-point watchdog: the last knot has been continued for as long as it may be.
-  if (reference_.following()) {
-    const Duration bound = pll_.period() * config_.watchdog.missing_knots + pll_.period() / 4;
-    if (reference_.since_knot(now) > bound) {
-      knots_lost_ = true;
-      stop_at_limit(LimitCode::knots_lost);
-    }
+  if (now > knot_due_ && reference_.following()) {
+    stand(Fault::knots_lost);
+    stop_at_limit(LimitCode::knots_lost);
   }
 }
 
@@ -1157,7 +1125,7 @@ void Module::guard_passivity() noexcept {
   }
 }
 
-float Module::control_torque(Time now) noexcept {
+[[gnu::flatten]] float Module::control_torque(Time now) noexcept {
   estimate_load(now);
   if (selector_.law() == Law::passive) {
     if (!selector_.blending()) {
@@ -1204,7 +1172,10 @@ float Module::control_torque(Time now) noexcept {
 void Module::sequence_brake(Time now) noexcept {
   const DriveState s = machine_.state();
   BrakeSequence::Inputs in;
-  in.wanted = (s == DriveState::operation_enabled || s == DriveState::quick_stop_active) && configuration_valid_;
+  in.wanted = (s == DriveState::operation_enabled || s == DriveState::quick_stop_active) && configuration_valid();
+  in.test = calibration_.wish().brake;
+  in.cut = cut();
+  if (brake_.motion_allowed() && in.wanted && !in.cut && !in.test) return;  // open, as it shall be
   const Reading& current = sensing_.current_a();
   in.torque_confirmed =
       current.valid && !selector_.catching_up() &&
@@ -1225,28 +1196,40 @@ void Module::sequence_brake(Time now) noexcept {
       break;
   }
   in.feedback_released = sensing_.input(kInputBrakeReleased);
-  in.cut = cut();
-  in.test = calibration_.wish().brake;
-  const BrakeSequence::Trouble trouble = brake_.update(now, in);
-  if (trouble != BrakeSequence::Trouble::none) brake_trouble_ = trouble;
+  switch (brake_.update(now, in)) {
+    case BrakeSequence::Trouble::none:
+      break;
+    case BrakeSequence::Trouble::torque_not_confirmed:
+      stand(Fault::torque_not_confirmed);
+      break;
+    case BrakeSequence::Trouble::not_released:
+      stand(Fault::brake_not_released);
+      break;
+    case BrakeSequence::Trouble::not_engaged:
+      stand(Fault::brake_not_engaged);
+      break;
+  }
 }
 
 // ---------------------------------------------------------------------------------------------- the tick
 
+// The first tick, or one that comes late.
+void Module::watch_loop(Time now) noexcept {
+  if (overrun_at_ == kBeforeStart) {
+    started_at_ = now;
+    return;
+  }
+  ++od_.count_loop_overruns;
+  if (now - status_.now > config_.watchdog.loop && brake_.phase() != BrakeSequence::Phase::off)
+    stand(Fault::loop_overrun);
+}
+
 void Module::step(Time now, const RawSensors& sensors, std::span<const can::ReceivedFrame> received,
                   ActuatorCommand& actuator, can::TransmitQueue& tx) noexcept {
-  if (!started_) {
-    started_ = true;
-    started_at_ = now;
-  }
   if (!received.empty()) publish();  // what frames may ask for is the last tick
   shown_ = false;
-  const Duration since_last = now - status_.now;
-  if (ticked_ && since_last > config_.tick + config_.tick / 2) {
-    ++od_.count_loop_overruns;
-    if (since_last > config_.watchdog.loop && brake_.phase() != BrakeSequence::Phase::off) late_ = true;
-  }
-  ticked_ = true;
+  if (now > overrun_at_) watch_loop(now);
+  overrun_at_ = now + overrun_after_;
   status_.now = now;
   sensing_.update(now, sensors);
   for (const can::ReceivedFrame& frame : received) node_.handle(frame, tx);
@@ -1269,7 +1252,7 @@ void Module::step(Time now, const RawSensors& sensors, std::span<const can::Rece
       actuator.power_stage_enabled = true;
       actuator.brake_release = brake_.brake_release();
     } else {
-      torque_not_finite_ = true;  // FAULT in the next tick; this one already gives nothing and brakes
+      stand(Fault::not_a_number);  // FAULT in the next tick; this one already gives nothing and brakes
       selector_.off();
       status_.torque_command_nm = 0.0F;
     }

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstdint>
+#include <limits>
 #include <optional>
 #include <span>
 
@@ -72,6 +73,9 @@ class Module final : private can::NodeApplication {
   // What the node tells.
   can::Abort may_write(can::ObjectId id, const can::Value& value) noexcept override;
   void written(can::ObjectId id, can::WriteSource source, Time at) noexcept override;
+  [[nodiscard]] bool follows(can::ObjectId id) const noexcept override {
+    return id == can::ObjectId::target_torque_permille || id == can::ObjectId::max_torque_permille;
+  }
   void pdo_delivered(std::uint8_t number, Time received) noexcept override;
   void sync(Time at, std::optional<std::uint8_t> counter) noexcept override;
   void selection(const can::SelectionCommand& command, Time at) noexcept override;
@@ -91,30 +95,36 @@ class Module final : private can::NodeApplication {
   void publish_storage() noexcept;
 
   // The stages of a tick, in their order.
-  void watch(Time now, const RawSensors& sensors) noexcept;
-  void find_faults(Time now, const RawSensors& sensors) noexcept;
-  void find_flagged_faults() noexcept;
+  void watch_loop(Time now) noexcept;
+  inline void watch(Time now, const RawSensors& sensors) noexcept;
+  inline void find_faults(Time now, const RawSensors& sensors) noexcept;
   void settle_faults(Time now) noexcept;
-  void decide_state(Time now) noexcept;
-  void lead(Time now) noexcept;
-  void follow_mode(Time now) noexcept;
-  void carry_out_selection(Time now) noexcept;
+  inline void decide_state(Time now) noexcept;
+  inline void lead(Time now) noexcept;
+  inline void follow_mode(Time now) noexcept;
+  inline void carry_out_selection(Time now) noexcept;
   void run_homing(Time now) noexcept;
   void run_calibration(Time now) noexcept;
   void end_calibration() noexcept;
   void run_identification() noexcept;
   void stop_identification() noexcept;
-  void watch_motion(Time now) noexcept;
-  void estimate_load(Time now) noexcept;
-  void guard_passivity() noexcept;
-  [[nodiscard]] float control_torque(Time now) noexcept;
-  void sequence_brake(Time now) noexcept;
+  inline void watch_motion(Time now) noexcept;
+  inline void estimate_load(Time now) noexcept;
+  inline void guard_passivity() noexcept;
+  [[nodiscard]] inline float control_torque(Time now) noexcept;
+  inline void sequence_brake(Time now) noexcept;
   void publish() const noexcept;
   void publish_identification() const noexcept;
   void refresh() noexcept override { publish(); }
 
   void offer_knot(const Knot& knot, Duration period) noexcept;
   void fail(can::Fault fault, Time now) noexcept;
+  /// Causes that last until they are taken back, as opposed to those that each tick looks for.
+  void stand(can::Fault fault) noexcept { standing_ |= FaultMonitor::bit(fault); }
+  void pass(can::Fault fault) noexcept { standing_ &= ~FaultMonitor::bit(fault); }
+  void stand_if(can::Fault fault, bool stands) noexcept { stands ? stand(fault) : pass(fault); }
+  [[nodiscard]] bool stands(can::Fault fault) const noexcept { return (standing_ & FaultMonitor::bit(fault)) != 0; }
+  [[nodiscard]] bool configuration_valid() const noexcept { return !stands(can::Fault::configuration); }
   [[nodiscard]] bool cut() const noexcept { return reaction_ == can::Reaction::torque_off; }
   void enable() noexcept;
   void stop_and_hold(float deceleration_rad_s2) noexcept;
@@ -130,14 +140,14 @@ class Module final : private can::NodeApplication {
   [[nodiscard]] Calibration::Inputs calibration_inputs(Time now) const noexcept;
   [[nodiscard]] bool closing() const noexcept;
   [[nodiscard]] bool without_torque_sensor(Time now) const noexcept;
-  [[nodiscard]] bool model_torque_fresh(Time now) const noexcept;
+  [[nodiscard]] bool model_torque_fresh(Time now) const noexcept { return now <= model_torque_until_; }
   [[nodiscard]] bool may_change_law() const noexcept;
   [[nodiscard]] bool passive() const noexcept { return selector_.law() == Law::passive; }
   [[nodiscard]] bool torque_mode() const noexcept {
     return mode_ == Mode::cyclic_torque && authority_ == Authority::motion;
   }
-  [[nodiscard]] std::uint16_t statusword() const noexcept;
-  [[nodiscard]] can::LimitCode active_limit() const noexcept;
+  [[nodiscard]] inline std::uint16_t statusword() const noexcept;
+  [[nodiscard]] inline can::LimitCode active_limit() const noexcept;
 
   ModuleConfig config_;  ///< what is in force: as configured, then as written over the bus
   float dt_s_;
@@ -149,7 +159,6 @@ class Module final : private can::NodeApplication {
   mutable bool shown_ = false;  ///< both show the last tick
   can::Node node_;
   can::ParameterStore store_;
-  bool stored_refused_ = false;
   SyncPll pll_;
   SelectionSwitch selection_;
 
@@ -168,11 +177,13 @@ class Module final : private can::NodeApplication {
   FrictionIdentification identification_;
 
   Authority authority_ = Authority::none;
+  static constexpr Time kBeforeStart{std::numeric_limits<std::int64_t>::min()};
+  static constexpr Time kNever{std::numeric_limits<std::int64_t>::max()};
   Time started_at_;
-  bool started_ = false;
+  Duration overrun_after_;  ///< the last tick: the next one is late
+  Time overrun_at_ = kBeforeStart;
   bool parameters_changed_ = false;
   bool usable_at_start_ = true;
-  bool configuration_valid_ = true;
 
   // Communication
   bool knot_position_came_ = false;      ///< RPDO2 since the last SYNC
@@ -182,8 +193,8 @@ class Module final : private can::NodeApplication {
   float last_target_rad_ = 0.0F;
   bool has_last_target_ = false;
   std::optional<std::uint8_t> sync_counter_;
-  bool sync_seen_ = false;  ///< since the joint was enabled
-  Time last_sync_at_;
+  Time sync_due_ = kNever;  ///< the watchdog's, from the first SYNC since the joint was enabled
+  Time knot_due_ = kNever;  ///< while the reference follows knots
   bool heartbeat_lost_ = false;
 
   // Decision
@@ -198,9 +209,10 @@ class Module final : private can::NodeApplication {
 
   // Control
   float load_torque_nm_ = 0.0F;
-  bool load_by_model_ = false;                ///< the torque sensor is lost
-  bool load_catches_up_ = false;              ///< on the way from one source to the other
-  Time model_torque_at_{-1'000'000'000'000};  ///< when 60B2h last came with a knot
+  bool load_by_model_ = false;    ///< the torque sensor is lost
+  bool load_catches_up_ = false;  ///< on the way from one source to the other
+  Time knot_came_at_;
+  Time model_torque_until_ = kBeforeStart;  ///< 60B2h came with a knot and is fresh
   bool saturated_ = false;
   float max_torque_nm_ = 0.0F;
   Time passive_since_;
@@ -211,24 +223,18 @@ class Module final : private can::NodeApplication {
   // Faults
   FaultMonitor faults_;
   SensorWatch sensor_watch_;
+  std::uint64_t standing_ = 0;                      ///< causes that were found once and last, a bit each
   std::uint64_t raised_ = 0;                        ///< causes the bus was told of, a bit each
   can::Reaction reaction_ = can::Reaction::report;  ///< what is being done about them
   Time reaction_since_;
   float damping_nm_s_rad_ = 0.0F;
-  bool knots_lost_ = false;
-  bool torque_target_lost_ = false;
   bool torque_target_came_ = false;  ///< by RPDO, since the joint was enabled
   Time torque_target_at_;
-  bool limit_switch_hit_ = false;
   bool bus_off_ = false;
-  bool late_ = false;  ///< the loop stood still for too long
-  bool ticked_ = false;
   std::int64_t following_error_ticks_ = 0;
   std::int64_t following_error_limit_ticks_ = 0;
   float following_error_rad_ = 0.0F;
-  BrakeSequence::Trouble brake_trouble_ = BrakeSequence::Trouble::none;
-  bool torque_not_finite_ = false;
-  can::Fault test_fault_ = can::Fault::none;  ///< written to 2F00h
+  std::uint64_t provoked_ = 0;  ///< by 2F00h, a bit
 };
 
 }  // namespace mrr::fw

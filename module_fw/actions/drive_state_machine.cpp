@@ -25,8 +25,6 @@ void DriveStateMachine::restart() noexcept {
 
 DriveState DriveStateMachine::update(const Inputs& in) noexcept {
   using enum DriveState;
-  // Nothing new: what left the joint enabled in the last tick leaves it enabled in this one.
-  if (state_ == operation_enabled && settled_ && !in.fault && in.controlword == last_controlword_) return state_;
   const DriveState before = state_;
   const Command command = decode(in.controlword);
   reset_edge_ =

@@ -40,6 +40,10 @@ class DriveStateMachine {
   /// One tick, at most one transition per tick (3 and 4 follow each other in two ticks).
   /// @returns the state in force.
   DriveState update(const Inputs& in) noexcept;
+  /// Nothing new: what left the joint enabled in the last tick leaves it enabled in this one; no need to update().
+  [[nodiscard]] bool settled(const Inputs& in) const noexcept {
+    return settled_ && state_ == DriveState::operation_enabled && !in.fault && in.controlword == last_controlword_;
+  }
   /// Communication was reset: like after power-up, but a fault stays.
   void restart() noexcept;
 

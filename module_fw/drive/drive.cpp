@@ -21,6 +21,7 @@ void ThermalModel::update(float current_a) noexcept {
 }
 
 float ThermalModel::allowed_current_a() const noexcept {
+  if (load_ <= kDerateFrom) return peak_a_;
   constexpr float kInverseSpan = 1.0F / (1.0F - kDerateFrom);
   const float share = limit((1.0F - load_) * kInverseSpan, 0.0F, 1.0F);
   return continuous_a_ + share * (peak_a_ - continuous_a_);

@@ -28,8 +28,10 @@ SensorWatch::SensorWatch(const ModuleConfig& c) noexcept
       drift_nm_(threshold(Fault::torque_sensor_drift) * c.sensing.torque_full_scale_nm),
       drift_filter_(limit(c.tick.seconds_f() / kDriftTime, 0.0F, 1.0F)),
       torque_sensor_(c.sensing.torque_sensor),
-      tick_(c.tick),
-      stuck_limit_ticks_(static_cast<std::uint16_t>(can::row_of(Fault::encoder_stuck).time / c.tick)) {
+      stuck_limit_ticks_(static_cast<std::uint16_t>(can::row_of(Fault::encoder_stuck).time / c.tick)),
+      at_end_(can::row_of(Fault::torque_sensor_range).time, c.tick),
+      frozen_(can::row_of(Fault::torque_sensor_stuck).time, c.tick),
+      drifting_(can::row_of(Fault::torque_sensor_drift).time, c.tick) {
   if (stuck_limit_ticks_ < 3) stuck_limit_ticks_ = 3;
   configure(c);
 }
@@ -39,7 +41,8 @@ void SensorWatch::configure(const ModuleConfig& c) noexcept {
   mismatch_a_ = threshold(Fault::current_mismatch) * c.drive.peak_current_a;
   static_nm_ = c.friction.static_nm;
   viscous_nm_s_rad_ = c.friction.viscous_nm_s_rad;
-  inertial_nm_ = c.control.inertia_kg_m2 * c.limits.acceleration_rad_s2;
+  // What the rotor's acceleration may take at most, besides friction and drift.
+  explained_at_rest_nm_ = static_nm_ + drift_nm_ + c.control.inertia_kg_m2 * c.limits.acceleration_rad_s2;
 }
 
 void SensorWatch::reset() noexcept {
@@ -55,7 +58,7 @@ void SensorWatch::update(const RawSensors& raw, const Sensing& sensing, const In
   motor_torque_nm_ = amperes * (amperes >= 0.0F ? nm_per_a_positive_ : nm_per_a_negative_);
   watch_encoder(raw, sensing, in, faults);
   watch_current(sensing, in, faults);
-  if (torque_sensor_) watch_torque(raw, sensing, in, faults);
+  if (torque_sensor_) watch_torque(raw, sensing, in);
 }
 
 void SensorWatch::watch_encoder(const RawSensors& raw, const Sensing& sensing, const Inputs& in,
@@ -66,11 +69,13 @@ void SensorWatch::watch_encoder(const RawSensors& raw, const Sensing& sensing, c
   } else if (jumps_ > 0) {
     --jumps_;
   }
-  const bool jumps = static_cast<float>(jumps_) >= threshold(Fault::encoder_jump);
-  if (jumps) jumps_ = static_cast<std::uint16_t>(threshold(Fault::encoder_jump));
-  faults.check(Fault::encoder_jump, jumps);
+  constexpr auto kJumps = static_cast<std::uint16_t>(can::row_of(Fault::encoder_jump).threshold);
+  if (jumps_ >= kJumps) {
+    jumps_ = kJumps;
+    faults.find(Fault::encoder_jump);
+  }
   // Only jumping counts come: that is what is wrong, not their absence.
-  faults.check(Fault::encoder_lost, !sensing.position_valid() && jumps_ == 0);
+  if (!sensing.position_valid()) faults.check(Fault::encoder_lost, jumps_ == 0);
 
   if ((raw.fresh & kFreshEncoder) == 0) return;
   const auto step = static_cast<std::int32_t>(static_cast<std::uint32_t>(raw.encoder_count) -
@@ -82,7 +87,10 @@ void SensorWatch::watch_encoder(const RawSensors& raw, const Sensing& sensing, c
     return;
   }
   if (frozen_ticks_ < 0xFFFFU) ++frozen_ticks_;
-  const bool pushed = in.load_known && absolute(motor_torque_nm_ - in.load_nm) > kPushShare * static_nm_ + kPushMargin;
+  const Reading& sensed = sensing.joint_torque_nm();
+  const float load_nm = sensed.valid ? sensed.value : in.model_nm;
+  const bool pushed =
+      (sensed.valid || in.model_known) && absolute(motor_torque_nm_ - load_nm) > kPushShare * static_nm_ + kPushMargin;
   pushed_ticks_ = pushed ? static_cast<std::uint16_t>(pushed_ticks_ + 1U) : std::uint16_t{0};
   if ((frozen_ticks_ >= stuck_limit_ticks_ && last_step_rad_s_ > threshold(Fault::encoder_stuck)) ||
       pushed_ticks_ >= kPushedTimes * stuck_limit_ticks_) {
@@ -98,14 +106,12 @@ void SensorWatch::watch_current(const Sensing& sensing, const Inputs& in, FaultM
                in.free && current.valid && !(absolute(current.value - in.commanded_a) <= mismatch_a_));
 }
 
-void SensorWatch::watch_torque(const RawSensors& raw, const Sensing& sensing, const Inputs& in,
-                               FaultMonitor& faults) noexcept {
+// What becomes of a finding is the module's choice, as a joint that is led goes on by the model torque.
+void SensorWatch::watch_torque(const RawSensors& raw, const Sensing& sensing, const Inputs& in) noexcept {
   if ((raw.fresh & kFreshTorque) == 0) return;
-  // A FaultMonitor keeps the times; what becomes of a finding is the module's choice, as a joint that is led goes on
-  // by the model torque.
   const bool end = raw.torque_adc >= torque_end_ || raw.torque_adc <= -torque_end_;
   torque_at_end_ = end;
-  const bool out_of_range = faults.lasts(Fault::torque_sensor_range, end);
+  const bool out_of_range = at_end_.update(end);
   if (out_of_range) {
     if (torque_trouble_ == Fault::none) torque_trouble_ = Fault::torque_sensor_range;
   } else if (torque_trouble_ == Fault::torque_sensor_range && !end) {
@@ -115,18 +121,21 @@ void SensorWatch::watch_torque(const RawSensors& raw, const Sensing& sensing, co
   const bool same = raw.torque_adc == last_torque_ && in.free && !end;
   last_torque_ = raw.torque_adc;
   if (!same) torque_froze_at_nm_ = motor_torque_nm_;
-  const float hidden_nm = threshold(Fault::torque_sensor_stuck) + 2.0F * static_nm_;
-  const bool frozen = faults.lasts(Fault::torque_sensor_stuck, same);
-  if (frozen && absolute(motor_torque_nm_ - torque_froze_at_nm_) > hidden_nm && torque_trouble_ == Fault::none)
-    torque_trouble_ = Fault::torque_sensor_stuck;
+  if (frozen_.update(same)) {
+    const float hidden_nm = threshold(Fault::torque_sensor_stuck) + 2.0F * static_nm_;
+    if (absolute(motor_torque_nm_ - torque_froze_at_nm_) > hidden_nm && torque_trouble_ == Fault::none)
+      torque_trouble_ = Fault::torque_sensor_stuck;
+  }
 
-  const float share = in.free ? drift_filter_ : 1.0F;
-  const float difference = in.free ? motor_torque_nm_ - sensing.joint_torque_nm().value : 0.0F;
-  disagreement_nm_ += share * (difference - disagreement_nm_);
-  effort_nm_ += share * ((in.free ? absolute(motor_torque_nm_) : 0.0F) - effort_nm_);
-  const float explained_nm = static_nm_ + viscous_nm_s_rad_ * absolute(sensing.velocity_rad_s()) + inertial_nm_ +
-                             drift_nm_ + kDriftShare * effort_nm_;
-  const bool drifts = faults.lasts(Fault::torque_sensor_drift, !(absolute(disagreement_nm_) <= explained_nm));
+  if (in.free) {
+    disagreement_nm_ += drift_filter_ * (motor_torque_nm_ - sensing.joint_torque_nm().value - disagreement_nm_);
+    effort_nm_ += drift_filter_ * (absolute(motor_torque_nm_) - effort_nm_);
+  } else {
+    disagreement_nm_ = effort_nm_ = 0.0F;
+  }
+  const float explained_nm =
+      explained_at_rest_nm_ + viscous_nm_s_rad_ * absolute(sensing.velocity_rad_s()) + kDriftShare * effort_nm_;
+  const bool drifts = drifting_.update(!(absolute(disagreement_nm_) <= explained_nm));
   if (drifts && torque_trouble_ == Fault::none) torque_trouble_ = Fault::torque_sensor_drift;
 }
 

@@ -19,8 +19,8 @@ class SensorWatch {
   struct Inputs {
     bool free = false;         ///< brake open, power stage on: torque moves the joint
     float commanded_a = 0.0F;  ///< of the last tick
-    float load_nm = 0.0F;      ///< what the joint carries, as the control law takes it
-    bool load_known = false;
+    float model_nm = 0.0F;     ///< what the joint carries by the supervisor's model, when the sensor does not say
+    bool model_known = false;
   };
   /// One tick: tells `faults` what is found.
   void update(const RawSensors& raw, const Sensing& sensing, const Inputs& in, FaultMonitor& faults) noexcept;
@@ -35,7 +35,7 @@ class SensorWatch {
  private:
   void watch_encoder(const RawSensors& raw, const Sensing& sensing, const Inputs& in, FaultMonitor& faults) noexcept;
   void watch_current(const Sensing& sensing, const Inputs& in, FaultMonitor& faults) noexcept;
-  void watch_torque(const RawSensors& raw, const Sensing& sensing, const Inputs& in, FaultMonitor& faults) noexcept;
+  void watch_torque(const RawSensors& raw, const Sensing& sensing, const Inputs& in) noexcept;
 
   float nm_per_a_positive_;
   float nm_per_a_negative_;
@@ -43,13 +43,12 @@ class SensorWatch {
   float mismatch_a_ = 0.0F;
   float static_nm_ = 0.0F;
   float viscous_nm_s_rad_ = 0.0F;
-  float inertial_nm_ = 0.0F;  ///< what the rotor's acceleration may take at most
+  float explained_at_rest_nm_ = 0.0F;  ///< how far motor torque and sensor may differ, whatever the velocity
   float radians_s_per_count_;
   std::int16_t torque_end_;
   float drift_nm_;
   float drift_filter_;
   bool torque_sensor_;
-  Duration tick_;
 
   std::int32_t last_count_ = 0;
   float last_step_rad_s_ = 0.0F;  ///< before the count froze
@@ -61,6 +60,7 @@ class SensorWatch {
 
   float motor_torque_nm_ = 0.0F;
   std::int16_t last_torque_ = 0;
+  Persistence at_end_, frozen_, drifting_;
   bool torque_at_end_ = false;
   float torque_froze_at_nm_ = 0.0F;  ///< motor torque when the reading froze
   float disagreement_nm_ = 0.0F;     ///< motor torque less sensor, slow
