@@ -506,7 +506,7 @@ Abort Node::check_communication(const Entry& entry, const Value& value) const no
       return is_valid(v) && is_valid(od_.emergency_cob_id) && v != od_.emergency_cob_id ? Abort::value : Abort::none;
     case 0x1016:
       if (v >> 24U) return Abort::value;
-      if (watched_timeout(v).ns == 0 || watched_node(v) == 0) return Abort::none;
+      if (watched_timeout(v).ns == 0 || !(watched_node(v) >= 1 && watched_node(v) <= kMaxNodeId)) return Abort::none;
       for (std::size_t k = 0; k < kMaxWatched; ++k) {
         const std::uint32_t other = od_.consumer_heartbeat[k];
         if (k + 1 != entry.sub && watched_timeout(other).ns != 0 && watched_node(other) == watched_node(v)) {

@@ -34,6 +34,8 @@ constexpr unsigned kLimitSwitches = std::uint8_t{kInputNegativeLimit} | std::uin
 // What a reset does not take away.
 constexpr std::uint64_t kStandsByItself = FaultMonitor::bit(Fault::configuration) | FaultMonitor::bit(Fault::storage) |
                                           FaultMonitor::bit(Fault::limit_switch);
+constexpr std::uint32_t kShortestPeriodUs = 1000;  // as 2003h has it
+constexpr std::uint32_t kLongestPeriodUs = 1'000'000;
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 
 #ifndef MRR_NO_TEST_OBJECTS
@@ -111,6 +113,26 @@ TorqueSelector make_selector(const PassiveConfig& p, Duration tick) noexcept {
 std::uint32_t micro(float x) noexcept { return static_cast<std::uint32_t>(x * 1e6F + 0.5F); }
 std::int32_t micro_rad(float x) noexcept { return can::urad_from_rad(x).value_or(0); }
 
+/// 60C2h: value * 10^exponent seconds, in us.
+std::uint32_t interpolation_time_us(const can::ObjectDictionary& od) noexcept {
+  std::uint32_t us = od.interpolation_time_value;
+  for (int e = od.interpolation_time_exponent; e > -6; --e) us *= 10U;
+  return us;
+}
+
+/// 60C2h says what 2003h does, in milliseconds where it can.
+void show_interpolation_time(can::ObjectDictionary& od) noexcept {
+  std::uint32_t value = od.knot_period_us;
+  std::int8_t exponent = -6;
+  while (value % 10U == 0 && (exponent < -3 || value > 255U)) {
+    value /= 10U;
+    ++exponent;
+  }
+  if (value > 255U) return;  // it has no such form
+  od.interpolation_time_value = static_cast<std::uint8_t>(value);
+  od.interpolation_time_exponent = exponent;
+}
+
 std::uint32_t to_ms(Duration d) noexcept { return static_cast<std::uint32_t>(d / milliseconds(1)); }
 
 }  // namespace
@@ -152,8 +174,10 @@ void Module::fill_objects() noexcept {
   od_.protocol_hash = can::kProtocolHash;
   od_.configuration_hash = c.configuration_hash;
   od_.identity_serial_number = c.serial_number;
+  od_.store_all = od_.restore_all = 0;  // no memory yet
   od_.loop_rate_hz = static_cast<std::uint16_t>(milliseconds(1000) / c.tick);
   od_.knot_period_us = static_cast<std::uint32_t>(c.knot_period / microseconds(1));
+  show_interpolation_time(od_);
   od_.selection_bit = c.selection_bit;
   od_.consumer_heartbeat[0] =
       static_cast<std::uint32_t>(c.supervisor_node_id) << 16U | (to_ms(c.watchdog.supervisor_heartbeat) & 0xFFFFU);
@@ -273,6 +297,7 @@ void Module::apply_parameters() noexcept {
 
 void Module::load_parameters(can::StoragePort& port) noexcept {
   store_.load(port, od_, node_.config().node_id);
+  od_.store_all = od_.restore_all = 1;  // on command
   stand_if(Fault::stored_parameters, store_.state() == can::StorageState::refused);
   od_.configuration_hash = can::hash_with_changes(config_.configuration_hash, node_.factory(), od_);
   parameters_changed_ = true;
@@ -318,8 +343,9 @@ can::Abort Module::may_write(can::ObjectId id, [[maybe_unused]] const can::Value
   }
 #endif
   // The loop is locked to this period while the joint is led.
-  if (id == can::ObjectId::knot_period_us && machine_.state() == DriveState::operation_enabled)
-    return can::Abort::state;
+  const bool period = id == can::ObjectId::knot_period_us || id == can::ObjectId::interpolation_time_value ||
+                      id == can::ObjectId::interpolation_time_exponent;
+  if (period && machine_.state() == DriveState::operation_enabled) return can::Abort::state;
   return can::Abort::none;
 }
 
@@ -330,6 +356,15 @@ void Module::written(can::ObjectId id, can::WriteSource source, Time at) noexcep
     return;
   }
 #endif
+  if (id == can::ObjectId::controlword && !controlwords_.push_back(od_.controlword)) {
+    controlwords_.back() = od_.controlword;
+  }
+  if (id == can::ObjectId::knot_period_us) show_interpolation_time(od_);
+  if (id == can::ObjectId::interpolation_time_value || id == can::ObjectId::interpolation_time_exponent) {
+    // On the way from one period to another the two may make one that cannot be: the old one stands until they do not.
+    const std::uint32_t us = interpolation_time_us(od_);
+    if (us >= kShortestPeriodUs && us <= kLongestPeriodUs) od_.knot_period_us = us;
+  }
   const bool by_sdo = source == can::WriteSource::sdo;
   if (!by_sdo && id == can::ObjectId::target_torque_permille) {
     torque_target_came_ = true;
@@ -456,14 +491,19 @@ void Module::selection(const can::SelectionCommand& command, Time at) noexcept {
 
 void Module::nmt_changed(can::NmtState state, Time) noexcept {
   status_.operational = state == can::NmtState::operational;
+  // What was commanded before does not enable the joint when the node is started.
+  od_.controlword = static_cast<std::uint16_t>(od_.controlword & ~unsigned{kControlEnable});
 }
 
 void Module::reset(can::ResetKind kind, Time) noexcept {
-  machine_.restart();
+  const bool whole_node = kind == can::ResetKind::node;
+  if (whole_node && machine_.state() == DriveState::fault) forget_faults();
+  machine_.restart(whole_node);
+  controlwords_.clear();
   selection_.reset();
   parameters_changed_ = true;
   apply_live_parameters();
-  if (kind == can::ResetKind::node) {
+  if (whole_node) {
     heartbeat_lost_ = false;
     raised_ = 0;  // the node has forgotten its errors: what is still in force is told again
     od_.configuration_hash = can::hash_with_changes(config_.configuration_hash, node_.factory(), od_);
@@ -660,11 +700,27 @@ bool Module::closing() const noexcept {
          s != DriveState::quick_stop_active;
 }
 
+void Module::forget_faults() noexcept {
+  sensor_watch_.reset();
+  status_.cause = Fault::none;
+  status_.fault = Emergency::none;
+  od_.later_faults = 0;
+  od_.first_fault_cause = 0;
+  od_.error_code = 0;
+}
+
+// Each control word has its turn, however close they came; the last one stands.
 void Module::decide_state(Time now) noexcept {
+  if (controlwords_.empty()) return obey(od_.controlword, now);
+  for (const std::uint16_t word : controlwords_) obey(word, now);
+  controlwords_.clear();
+}
+
+void Module::obey(std::uint16_t controlword, Time now) noexcept {
   DriveStateMachine::Inputs in;
-  in.controlword = od_.controlword;
+  in.controlword = controlword;
   // Motion needs NMT OPERATIONAL; without it an enabled joint is disabled in order.
-  if (!status_.operational) in.controlword = static_cast<std::uint16_t>(in.controlword & ~0x08U);
+  if (!status_.operational) in.controlword = static_cast<std::uint16_t>(in.controlword & ~unsigned{kControlEnable});
   in.fault = faults_.disables();
   if (machine_.settled(in)) return;
   in.ready = sensing_.complete();
@@ -681,12 +737,7 @@ void Module::decide_state(Time now) noexcept {
         node_.clear(can::row_of(static_cast<Fault>(std::countr_zero(left))).code, now);
       }
       raised_ &= faults_.present();
-      sensor_watch_.reset();
-      status_.cause = Fault::none;
-      od_.later_faults = 0;
-      status_.fault = Emergency::none;
-      od_.first_fault_cause = 0;
-      od_.error_code = 0;
+      forget_faults();
     }
   }
   // A fault that can pass by itself is forgotten once the joint is safe; the latch stays in the state machine.

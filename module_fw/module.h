@@ -74,7 +74,8 @@ class Module final : private can::NodeApplication {
   can::Abort may_write(can::ObjectId id, const can::Value& value) noexcept override;
   void written(can::ObjectId id, can::WriteSource source, Time at) noexcept override;
   [[nodiscard]] bool follows(can::ObjectId id) const noexcept override {
-    return id == can::ObjectId::target_torque_permille || id == can::ObjectId::max_torque_permille;
+    return id == can::ObjectId::controlword || id == can::ObjectId::target_torque_permille ||
+           id == can::ObjectId::max_torque_permille;
   }
   void pdo_delivered(std::uint8_t number, Time received) noexcept override;
   void sync(Time at, std::optional<std::uint8_t> counter) noexcept override;
@@ -100,6 +101,8 @@ class Module final : private can::NodeApplication {
   inline void find_faults(Time now, const RawSensors& sensors) noexcept;
   void settle_faults(Time now) noexcept;
   inline void decide_state(Time now) noexcept;
+  void obey(std::uint16_t controlword, Time now) noexcept;
+  void forget_faults() noexcept;
   inline void lead(Time now) noexcept;
   inline void follow_mode(Time now) noexcept;
   inline void carry_out_selection(Time now) noexcept;
@@ -204,8 +207,9 @@ class Module final : private can::NodeApplication {
   bool passivity_lost_ = false;  ///< the guard took the compensation back in the last passive phase
   Mode mode_ = Mode::none;       ///< without the law: passive is a law within mode 8
   std::int8_t last_requested_mode_ = 0;
-  bool homing_start_bit_ = false;  ///< controlword bit 4, for homing and calibrations
-  bool start_edge_ = false;        ///< it rose in this tick
+  bool homing_start_bit_ = false;                ///< controlword bit 4, for homing and calibrations
+  bool start_edge_ = false;                      ///< it rose in this tick
+  StaticVector<std::uint16_t, 8> controlwords_;  ///< that came since the last tick
 
   // Control
   float load_torque_nm_ = 0.0F;

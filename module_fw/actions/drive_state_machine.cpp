@@ -16,9 +16,12 @@ Command decode(std::uint16_t word) noexcept {
 
 }  // namespace
 
-void DriveStateMachine::restart() noexcept {
-  if (state_ != DriveState::fault && state_ != DriveState::fault_reaction_active)
+void DriveStateMachine::restart(bool whole_node) noexcept {
+  if (state_ == DriveState::fault) {
+    if (whole_node) state_ = DriveState::not_ready_to_switch_on;
+  } else if (state_ != DriveState::fault_reaction_active) {
     state_ = DriveState::switch_on_disabled;
+  }
   last_controlword_ = 0;
   settled_ = false;
 }

@@ -20,8 +20,9 @@ enum StatuswordBit : std::uint16_t {
   kStatusFollowingError = 1U << 13U,  ///< mode 8; mode 6: homing error
 };
 
-/// Bits of the controlword besides the commands.
+/// Bits of the controlword that are looked at one by one.
 enum ControlwordBit : std::uint16_t {
+  kControlEnable = 1U << 3U,
   kControlHomingStart = 1U << 4U,
   kControlFaultReset = 1U << 7U,
   kControlHalt = 1U << 8U,
@@ -37,15 +38,16 @@ class DriveStateMachine {
     std::int16_t quick_stop_option = 6;
   };
 
-  /// One tick, at most one transition per tick (3 and 4 follow each other in two ticks).
+  /// One control word, new or standing: at most one transition (3 and 4 follow each other in two calls).
   /// @returns the state in force.
   DriveState update(const Inputs& in) noexcept;
   /// Nothing new: what left the joint enabled in the last tick leaves it enabled in this one; no need to update().
   [[nodiscard]] bool settled(const Inputs& in) const noexcept {
     return settled_ && state_ == DriveState::operation_enabled && !in.fault && in.controlword == last_controlword_;
   }
-  /// Communication was reset: like after power-up, but a fault stays.
-  void restart() noexcept;
+  /// NMT reset. Of the communication: like after power-up, but a fault stays. Of the node: the start anew, so that a
+  /// cause that is still there is a fault anew; a reaction under way is carried through.
+  void restart(bool whole_node) noexcept;
 
   [[nodiscard]] DriveState state() const noexcept { return state_; }
   /// Rising edge of the fault reset bit in the last update, in state FAULT.

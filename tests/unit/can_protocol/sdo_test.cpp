@@ -150,7 +150,7 @@ TEST_F(SdoTest, reals_that_are_no_numbers_never_get_in) {
 TEST_F(SdoTest, the_application_may_refuse_a_write_and_then_nothing_changes) {
   app.verdict = Abort::state;
   EXPECT_EQ(write(0x6098, 0, 35, 1), 0x08000022U);
-  EXPECT_EQ(od.homing_method, 0);
+  EXPECT_EQ(od.homing_method, -1);
   EXPECT_TRUE(app.writes.empty());
 }
 
