@@ -31,67 +31,54 @@ bool usable(const Chain& chain, const ImpactInput& input) noexcept {
   return true;
 }
 
-/// x := H^-1 x by L D L^T of the lower triangle of H. False, and x as it was, unless H is clearly positive definite.
-bool solve_in_place(const JointMatrix& H, JointVector& x) noexcept {
+/// x := H^-1 x by L D L^T of the lower triangle of H, which is lost. False, x lost and H as it was, unless H is clearly
+/// positive definite. For a few joints this is several times faster than a pivoting LU.
+bool solve_in_place(JointMatrix& H, JointVector& x) noexcept {
   const int n = static_cast<int>(x.size());
-  JointMatrix L(n, n);
-  JointVector pivot(n);
+  const JointVector diagonal = H.diagonal();
   for (int j = 0; j < n; ++j) {
-    double d = H(j, j);
-    for (int k = 0; k < j; ++k) d -= L(j, k) * L(j, k) * pivot[k];
-    if (!(d > kSmallestPivot * H(j, j))) return false;
-    pivot[j] = d;
+    const double d = H(j, j);
+    if (!(d > kSmallestPivot * diagonal[j])) {
+      H.triangularView<Eigen::StrictlyLower>() = H.transpose();
+      H.diagonal() = diagonal;
+      return false;
+    }
     const double inverse = 1.0 / d;
     for (int i = j + 1; i < n; ++i) {
-      double sum = H(i, j);
-      for (int k = 0; k < j; ++k) sum -= L(i, k) * L(j, k) * pivot[k];
-      L(i, j) = sum * inverse;
+      const double factor = H(i, j) * inverse;
+      for (int k = i; k < n; ++k) H(k, i) -= factor * H(k, j);
+      x[i] -= factor * x[j];
+      H(i, j) = factor;
     }
+    x[j] *= inverse;
   }
-  for (int i = 1; i < n; ++i) {
-    for (int k = 0; k < i; ++k) x[i] -= L(i, k) * x[k];
-  }
-  for (int i = n - 1; i >= 0; --i) {
-    x[i] /= pivot[i];
-    for (int k = i + 1; k < n; ++k) x[i] -= L(k, i) * x[k];
+  for (int i = n - 1; i > 0; --i) {
+    for (int k = 0; k < i; ++k) x[k] -= H(i, k) * x[i];
   }
   return true;
 }
 
 /// x = H^-1 J_h^T n over the joints that are not held; zero for the held ones.
-JointVector speed_per_impulse(const Chain& chain, const ChainPose& pose, const ImpactInput& input,
-                              const JointVector& lever) noexcept {
-  const int n = chain.dof();
-  const JointMatrix M = chain.mass_matrix(pose);
-  const JointMatrix B = chain.reflected_inertia(pose, input.rotor_model);
-  std::array<int, kMaxJoints> moving{};
-  int count = 0;
-  for (int i = 0; i < n; ++i) {
-    if (input.joints[static_cast<std::size_t>(i)].hold != JointHold::held)
-      moving[static_cast<std::size_t>(count++)] = i;
-  }
-  JointVector x = JointVector::Zero(n);
-  if (count == 0) return x;
-  JointMatrix H(count, count);
-  JointVector right(count);
-  for (int row = 0; row < count; ++row) {
-    const int i = moving[static_cast<std::size_t>(row)];
-    for (int column = 0; column < count; ++column) {
-      const int j = moving[static_cast<std::size_t>(column)];
-      H(row, column) = M(i, j) + B(i, j);
-    }
+JointVector speed_per_impulse(const Chain& chain, const ChainPose& pose, const PoseTerms& terms,
+                              const ImpactInput& input, const JointVector& lever) noexcept {
+  JointMatrix H = chain.mass_matrix(pose, terms);
+  chain.add_reflected_inertia(pose, input.rotor_model, H);
+  JointVector right(chain.dof());
+  JointVector x(chain.dof());
+  for (int i = 0; i < chain.dof(); ++i) {
     const JointState& joint = input.joints[static_cast<std::size_t>(i)];
-    if (joint.hold == JointHold::controlled) H(row, row) += joint.extra_inertia_kg_m2;
-    right[row] = lever[i];
+    const bool held = joint.hold == JointHold::held;
+    right[i] = x[i] = held ? 0.0 : lever[i];
+    if (held) {
+      H.row(i).setZero();
+      H.col(i).setZero();
+      H(i, i) = 1.0;
+    } else if (joint.hold == JointHold::controlled) {
+      H(i, i) += joint.extra_inertia_kg_m2;
+    }
   }
-  // Symmetric but for the reference's one-sided rotors; for a few joints this is several times faster than a pivoting
-  // LU.
-  if (input.rotor_model != RotorModel::lower && solve_in_place(H, right)) {
-    for (int row = 0; row < count; ++row) x[moving[static_cast<std::size_t>(row)]] = right[row];
-    return x;
-  }
-  const JointVector solution = H.partialPivLu().solve(right);
-  for (int row = 0; row < count; ++row) x[moving[static_cast<std::size_t>(row)]] = solution[row];
+  // Symmetric but for the reference's one-sided rotors.
+  if (input.rotor_model == RotorModel::lower || !solve_in_place(H, x)) x = H.partialPivLu().solve(right);
   return x;
 }
 
@@ -100,17 +87,16 @@ JointVector speed_per_impulse(const Chain& chain, const ChainPose& pose, const I
 ImpactPrediction predict(const Chain& chain, const ImpactInput& input) noexcept {
   const int n = chain.dof();
   ImpactPrediction out;
-  out.delta_qd = JointVector::Zero(n);
-  out.axis_impulse_nm_s = JointVector::Zero(n);
+  out.delta_qd.setZero(n);
+  out.axis_impulse_nm_s.setZero(n);
+  for (int i = 0; i < n; ++i) out.wrench[static_cast<std::size_t>(i)] = WrenchImpulse::none();
   if (!usable(chain, input)) return out;
 
   const ChainPose pose = chain.pose(input.q);
+  const PoseTerms terms = chain.terms(pose);
   JointVector lever(n);  // J_h^T n
-  for (int i = 0; i < n; ++i) {
-    const auto joint = static_cast<std::size_t>(i);
-    lever[i] = input.normal.dot(pose.axis[joint].cross(pose.face.position_m - pose.link[joint].position_m));
-  }
-  const JointVector x = speed_per_impulse(chain, pose, input, lever);
+  for (int i = 0; i < n; ++i) lever[i] = terms.face.col(i).head<3>().dot(input.normal);
+  const JointVector x = speed_per_impulse(chain, pose, terms, input, lever);
   const double mobility = lever.dot(x);  // n^T W n
   const double compliance = mobility + 1.0 / input.nail_mass_kg;
   const double speed = -lever.dot(input.qd);
@@ -131,7 +117,7 @@ ImpactPrediction predict(const Chain& chain, const ImpactInput& input) noexcept 
   out.nail_speed_after_m_s = P / input.nail_mass_kg;
   Vector6 external = Vector6::Zero();
   external.head<3>() = P * input.normal;
-  out.axis_impulse_nm_s = internal_impulses(chain, pose, out.delta_qd, external, input.formulation, out.wrench);
+  out.axis_impulse_nm_s = internal_impulses(chain, pose, terms, out.delta_qd, external, input.formulation, out.wrench);
   return out;
 }
 

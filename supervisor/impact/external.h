@@ -41,10 +41,11 @@ struct ImpactInput {
   Formulation formulation = Formulation::corrected;
 };
 
-/// An impulse of force and torque between two neighbouring links.
+/// An impulse of force and torque between two neighbouring links. Unset until computed: a prediction holds sixteen.
 struct WrenchImpulse {
-  Eigen::Vector3d force_n_s = Eigen::Vector3d::Zero();
-  Eigen::Vector3d torque_nm_s = Eigen::Vector3d::Zero();
+  Eigen::Vector3d force_n_s;
+  Eigen::Vector3d torque_nm_s;
+  [[nodiscard]] static WrenchImpulse none() noexcept { return {Eigen::Vector3d::Zero(), Eigen::Vector3d::Zero()}; }
 };
 
 struct ImpactPrediction {
@@ -61,7 +62,8 @@ struct ImpactPrediction {
   JointVector delta_qd;               ///< jump of joint speed, rad/s, (31)
   JointVector axis_impulse_nm_s;      ///< axis component of the joint impulse: what each transmission carries, signed
   /// Full wrench impulse of link i on link i-1, at the centre of joint i, base frame.
-  std::array<WrenchImpulse, kMaxJoints> wrench{};
+  /// Entries beyond the chain's dof are unset.
+  std::array<WrenchImpulse, kMaxJoints> wrench;
 };
 
 /// Predicts one blow; (27)-(36) and (37)-(53). `axis_impulse_nm_s` = J^T n P - M delta q', which is (B delta q')_i for

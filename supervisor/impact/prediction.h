@@ -138,7 +138,11 @@ struct Prediction {
   JointVector peak_torque_nm;     ///< largest magnitude during contact
   /// The blow's part in full: link i on link i-1, at the centre of joint i, base frame; its axis component is
   /// `blow_impulse_nm_s`.
-  std::array<WrenchImpulse, kMaxJoints> wrench{};
+  std::array<WrenchImpulse, kMaxJoints> wrench = [] {
+    std::array<WrenchImpulse, kMaxJoints> none;
+    none.fill(WrenchImpulse::none());
+    return none;
+  }();
 };
 
 /// Empty if `input` can be used with `arm` by `model`; else one sentence naming field, value, unit and what is allowed.

@@ -18,20 +18,26 @@ Matrix3d cross_matrix(const Vector3d& v) noexcept {
   return m;
 }
 
-/// += R I R^T, symmetric I.
-void add_rotated(Matrix3d& sum, const Matrix3d& R, const Matrix3d& I) noexcept {
+/// R I R^T, symmetric I.
+Matrix3d rotated(const Matrix3d& R, const Matrix3d& I) noexcept {
   const Matrix3d half = R.lazyProduct(I);
-  for (int row = 0; row < 3; ++row) {
-    for (int column = row; column < 3; ++column) {
-      sum(row, column) += half.row(row).dot(R.row(column));
-      sum(column, row) = sum(row, column);
-    }
-  }
+  const auto entry = [&](int row, int column) { return half.row(row).dot(R.row(column)); };
+  Matrix3d to;
+  to(0, 0) = entry(0, 0);
+  to(1, 1) = entry(1, 1);
+  to(2, 2) = entry(2, 2);
+  to(0, 1) = to(1, 0) = entry(0, 1);
+  to(0, 2) = to(2, 0) = entry(0, 2);
+  to(1, 2) = to(2, 1) = entry(1, 2);
+  return to;
 }
 
 /// m ([r]^T [r]): what moving the reference point by r adds to an inertia matrix (parallel axes).
 Matrix3d parallel_axes(double mass, const Vector3d& r) noexcept {
-  return mass * (r.squaredNorm() * Matrix3d::Identity() - r * r.transpose());
+  const Vector3d moment = mass * r;
+  Matrix3d m = -moment * r.transpose();
+  m.diagonal().array() += moment.dot(r);
+  return m;
 }
 
 }  // namespace
@@ -58,28 +64,43 @@ Chain::Chain(const RobotDescription& robot)
                 .com = joint.link.com_m,
                 .inertia = joint.link.inertia_kg_m2,
                 .mass = joint.link.mass_kg,
+                .outboard_mass = 0.0,
+                .reduced_mass = 0.0,
+                .share = 0.0,
                 .reflected_inertia = joint.reflected_inertia_kg_m2(),
                 .rotor_coupling = joint.transmission.gear_ratio * joint.motor.rotor_inertia_kg_m2};
+  }
+  double outboard = 0.0;
+  for (int i = dof_ - 1; i >= 0; --i) {
+    Body& body = body_[at(i)];
+    body.outboard_mass = outboard + body.mass;
+    body.share = outboard > 0.0 ? body.mass / body.outboard_mass : 1.0;
+    body.reduced_mass = outboard * body.share;
+    outboard = body.outboard_mass;
   }
 }
 
 ChainPose Chain::pose(const JointVector& q) const noexcept {
   ChainPose pose;
-  Matrix3d rotation = Matrix3d::Identity();
-  Vector3d position = Vector3d::Zero();
   for (int i = 0; i < dof_; ++i) {
     const Body& body = body_[at(i)];
-    position += rotation * body.offset_translation;
-    pose.axis[at(i)].noalias() = rotation * body.axis;  // turning about the axis leaves it where it is
-    const Matrix3d turned = body.still + std::sin(q[i]) * body.sine + std::cos(q[i]) * body.cosine;
     Pose& link = pose.link[at(i)];
-    link.rotation.noalias() = rotation * turned;
-    link.position_m = position;
-    rotation = link.rotation;
-    pose.com_m[at(i)] = position + rotation * body.com;
+    const Matrix3d turned = body.still + std::sin(q[i]) * body.sine + std::cos(q[i]) * body.cosine;
+    if (i == 0) {
+      link.rotation = turned;
+      link.position_m = body.offset_translation;
+      pose.axis[0] = body.axis;
+    } else {
+      const Pose& inner = pose.link[at(i - 1)];
+      link.rotation = inner.rotation.lazyProduct(turned);
+      link.position_m = inner.position_m + inner.rotation.lazyProduct(body.offset_translation);
+      pose.axis[at(i)] = inner.rotation.lazyProduct(body.axis);  // turning about the axis leaves it where it is
+    }
+    pose.com_m[at(i)] = link.position_m + link.rotation.lazyProduct(body.com);
   }
-  pose.face.rotation.noalias() = rotation * face_rotation_;
-  pose.face.position_m = position + rotation * face_translation_;
+  const Pose& last = pose.link[at(dof_ - 1)];
+  pose.face.rotation = last.rotation.lazyProduct(face_rotation_);
+  pose.face.position_m = last.position_m + last.rotation.lazyProduct(face_translation_);
   return pose;
 }
 
@@ -104,50 +125,43 @@ Jacobian Chain::com_jacobian(const ChainPose& pose, int link) const noexcept {
   return J;
 }
 
-JointMatrix Chain::mass_matrix(const ChainPose& pose) const noexcept {
+PoseTerms Chain::terms(const ChainPose& pose) const noexcept {
+  PoseTerms terms{jacobian(pose), {}};
+  for (int i = 0; i < dof_; ++i) terms.inertia[at(i)] = rotated(pose.link[at(i)].rotation, body_[at(i)].inertia);
+  return terms;
+}
+
+JointMatrix Chain::mass_matrix(const ChainPose& pose, const PoseTerms& terms) const noexcept {
   JointMatrix M(dof_, dof_);
-  // The body outboard of joint i as one rigid body: mass, centre of mass, inertia about that centre, base frame.
-  double mass = 0.0;
+  // The links from i on as one rigid body: centre of mass, and inertia about it.
   Vector3d com = Vector3d::Zero();
   Matrix3d inertia = Matrix3d::Zero();
   for (int i = dof_ - 1; i >= 0; --i) {
     const Body& body = body_[at(i)];
-    const Matrix3d& R = pose.link[at(i)].rotation;
-    const double sum = mass + body.mass;
     const Vector3d between = pose.com_m[at(i)] - com;
-    // Reduced mass: both bodies seen from their common centre of mass. A massless arm has none.
-    if (i == dof_ - 1) {
-      com = pose.com_m[at(i)];
-    } else if (sum > 0.0) {
-      inertia += parallel_axes(mass * body.mass / sum, between);
-      com += (body.mass / sum) * between;
-    }
-    add_rotated(inertia, R, body.inertia);
-    mass = sum;
-
+    inertia += terms.inertia[at(i)] + parallel_axes(body.reduced_mass, between);
+    com += body.share * between;
+    // What it has when joint i turns at one rad/s: momentum, and angular momentum about the face's centre.
     const Vector3d& z = pose.axis[at(i)];
-    const Vector3d momentum = mass * z.cross(com - pose.link[at(i)].position_m);
-    const Vector3d spin = inertia * z;
+    const Vector3d momentum = body.outboard_mass * z.cross(com - pose.link[at(i)].position_m);
+    const Vector3d spin = inertia.lazyProduct(z) + (com - pose.face.position_m).cross(momentum);
     for (int j = i; j >= 0; --j) {
-      const Vector3d arm = com - pose.link[at(j)].position_m;
-      M(i, j) = M(j, i) = pose.axis[at(j)].dot(spin + arm.cross(momentum));
+      M(i, j) = M(j, i) = terms.face.col(j).head<3>().dot(momentum) + terms.face.col(j).tail<3>().dot(spin);
     }
   }
   return M;
 }
 
-JointMatrix Chain::reflected_inertia(const ChainPose& pose, RotorModel model) const noexcept {
-  JointMatrix B(dof_, dof_);
-  B.setZero();
+void Chain::add_reflected_inertia(const ChainPose& pose, RotorModel model, JointMatrix& sum) const noexcept {
   for (int i = 0; i < dof_; ++i) {
-    B(i, i) = body_[at(i)].reflected_inertia;
+    sum(i, i) += body_[at(i)].reflected_inertia;
     if (model == RotorModel::diag) continue;
     for (int j = 0; j < i; ++j) {
-      B(i, j) = body_[at(i)].rotor_coupling * pose.axis[at(i)].dot(pose.axis[at(j)]);
-      if (model == RotorModel::sym) B(j, i) = B(i, j);
+      const double coupling = body_[at(i)].rotor_coupling * pose.axis[at(i)].dot(pose.axis[at(j)]);
+      sum(i, j) += coupling;
+      if (model == RotorModel::sym) sum(j, i) += coupling;
     }
   }
-  return B;
 }
 
 JointVector Chain::gravity(const ChainPose& pose) const noexcept {

@@ -30,6 +30,12 @@ struct ChainPose {
   Pose face;                                      ///< hammer face: z out of the face
 };
 
+/// What the links' inertia and a blow on the face need of one pose besides; base frame. Entries beyond dof are unset.
+struct PoseTerms {
+  Jacobian face;                                    ///< J_h
+  std::array<Eigen::Matrix3d, kMaxJoints> inertia;  ///< of link i about its centre of mass, kg m^2
+};
+
 /// How the inertia of the rotors enters (docs/impulse_models.md).
 enum class RotorModel : std::uint8_t {
   diag,   ///< B_ii = gamma_i^2 I_r,i alone
@@ -65,15 +71,25 @@ class Chain {
   /// J_ci: the same for the centre of mass of link `link` (0-based); columns after it are zero.
   [[nodiscard]] Jacobian com_jacobian(const ChainPose& pose, int link) const noexcept;
 
+  [[nodiscard]] PoseTerms terms(const ChainPose& pose) const noexcept;
+
   /// M(q), links only, kg m^2 (composite rigid bodies).
   [[nodiscard]] JointMatrix mass_matrix(const JointVector& q) const noexcept { return mass_matrix(pose(q)); }
-  [[nodiscard]] JointMatrix mass_matrix(const ChainPose& pose) const noexcept;
+  [[nodiscard]] JointMatrix mass_matrix(const ChainPose& pose) const noexcept { return mass_matrix(pose, terms(pose)); }
+  [[nodiscard]] JointMatrix mass_matrix(const ChainPose& pose, const PoseTerms& terms) const noexcept;
 
   /// B, joint side, kg m^2; (10)-(13). It depends on the pose through z_i.z_j.
   [[nodiscard]] JointMatrix reflected_inertia(const JointVector& q, RotorModel model = RotorModel::sym) const noexcept {
     return reflected_inertia(pose(q), model);
   }
-  [[nodiscard]] JointMatrix reflected_inertia(const ChainPose& pose, RotorModel model = RotorModel::sym) const noexcept;
+  [[nodiscard]] JointMatrix reflected_inertia(const ChainPose& pose,
+                                              RotorModel model = RotorModel::sym) const noexcept {
+    JointMatrix B = JointMatrix::Zero(dof_, dof_);
+    add_reflected_inertia(pose, model, B);
+    return B;
+  }
+  /// += B.
+  void add_reflected_inertia(const ChainPose& pose, RotorModel model, JointMatrix& sum) const noexcept;
 
   /// g(q), Nm: what holds the links at rest against gravity.
   [[nodiscard]] JointVector gravity(const JointVector& q) const noexcept { return gravity(pose(q)); }
@@ -99,6 +115,10 @@ class Chain {
     Eigen::Vector3d com;                 // link frame
     Eigen::Matrix3d inertia;             // about com, link axes
     double mass;
+    // Of the links beyond this one and it together: reduced mass of the two, and its share of their sum.
+    double outboard_mass;  // its own included
+    double reduced_mass;
+    double share;
     double reflected_inertia;  // gamma^2 I_r
     double rotor_coupling;     // gamma I_r
   };
