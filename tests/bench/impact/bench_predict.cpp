@@ -1,5 +1,5 @@
 // The impulse of a blow on every joint: ours beside Pinocchio and KDL on the same arms and states. Results are checked
-// equal first; rounds of the contenders are interleaved in a shuffled order, and the ratios are of the shortest rounds.
+// equal first.
 
 #include <dlfcn.h>
 #include <fmt/format.h>
@@ -7,12 +7,8 @@
 #include <Eigen/LU>
 #include <algorithm>
 #include <array>
-#include <chrono>
 #include <cmath>
-#include <cstdlib>
 #include <filesystem>
-#include <functional>
-#include <limits>
 #include <string>
 #include <vector>
 
@@ -21,29 +17,15 @@
 #include "supervisor/impact/prediction.h"
 #include "supervisor/impact/selection.h"
 #include "supervisor/model/kdl_reference.h"
+#include "tests/bench/contest.h"
 #include "tests/bench/impact/peer.h"
 #include "tests/unit/model/arms.h"
-
-namespace {
-std::size_t allocations = 0;
-}
-
-// Counts what anybody in this process takes from the heap.
-extern "C" {
-void* __libc_malloc(std::size_t);
-void* malloc(std::size_t size) {
-  ++allocations;
-  return __libc_malloc(size);
-}
-}
 
 namespace {
 
 using namespace mrr;  // NOLINT: a program of its own
 
-constexpr std::size_t kStates = 64;
-constexpr int kRounds = 400;
-constexpr int kPerRound = 64;
+constexpr std::size_t kStates = bench::kCallsPerRound;
 constexpr double kTolerance = 1e-9;
 
 struct Peer {
@@ -59,42 +41,6 @@ Peer open_peer(const char* path) {
   }
   return {reinterpret_cast<PeerCreate>(dlsym(library, "peer_create")),
           reinterpret_cast<PeerPredict>(dlsym(library, "peer_predict"))};
-}
-
-struct Contender {
-  std::string name;
-  std::function<double(std::size_t)> work = {};
-  double best_ns = std::numeric_limits<double>::infinity();
-  std::vector<double> rounds_ns = {};
-  double allocations_per_call = 0.0;
-};
-
-/// Shortest round of each, by turns in an order shuffled every time.
-void measure(std::vector<Contender>& contenders) {
-  Random random(3, 3);
-  std::vector<std::size_t> order(contenders.size());
-  for (std::size_t i = 0; i < order.size(); ++i) order[i] = i;
-  double sink = 0.0;
-  for (Contender& c : contenders) {
-    sink += c.work(0);
-    const std::size_t before = allocations;
-    for (std::size_t k = 0; k < kStates; ++k) sink += c.work(k);
-    c.allocations_per_call = static_cast<double>(allocations - before) / static_cast<double>(kStates);
-    c.rounds_ns.reserve(kRounds);
-  }
-  for (int round = 0; round < kRounds; ++round) {
-    for (std::size_t i = order.size(); i > 1; --i) std::swap(order[i - 1], order[random.below(i)]);
-    for (const std::size_t i : order) {
-      Contender& c = contenders[i];
-      const auto begin = std::chrono::steady_clock::now();
-      for (int k = 0; k < kPerRound; ++k) sink += c.work(static_cast<std::size_t>(k) % kStates);
-      const double ns =
-          std::chrono::duration<double, std::nano>(std::chrono::steady_clock::now() - begin).count() / kPerRound;
-      c.best_ns = std::min(c.best_ns, ns);
-      c.rounds_ns.push_back(ns);
-    }
-  }
-  if (!std::isfinite(sink)) std::abort();
 }
 
 struct Case {
@@ -135,7 +81,7 @@ double by_kdl(const Case& c, std::size_t k, sup::JointVector& axis) {
 bool run(const std::string& name, RobotDescription robot, const Peer& peer, bool peers) {
   const Case c(std::move(robot));
   const int n = c.robot.dof();
-  std::vector<Contender> contenders;
+  std::vector<bench::Contender> contenders;
   contenders.push_back({"ours", [&](std::size_t k) {
                           const sup::ImpactPrediction p = sup::predict(c.chain, c.input[k]);
                           return p.impulse_n_s + p.axis_impulse_nm_s[0] + p.wrench[0].force_n_s[0];
@@ -191,15 +137,9 @@ bool run(const std::string& name, RobotDescription robot, const Peer& peer, bool
     fmt::print("{}: the contenders differ by {:.1e}, allowed {:.0e}\n", name, worst, kTolerance);
     return false;
   }
-  measure(contenders);
-  for (Contender& ours : contenders) {
-    std::sort(ours.rounds_ns.begin(), ours.rounds_ns.end());
-    fmt::print("{:<10} {:<16} {:8.0f} ns  median {:8.0f}  allocations {:.1f}", name, ours.name, ours.best_ns,
-               ours.rounds_ns[ours.rounds_ns.size() / 2], ours.allocations_per_call);
-    if (ours.name != "ours") fmt::print("  ours takes {:.3f} of it", contenders[0].best_ns / ours.best_ns);
-    fmt::print("\n");
-  }
-  if (peers) fmt::print("{:<10} largest difference {:.1e}\n", name, worst);
+  bench::measure(contenders);
+  bench::print(name, contenders);
+  if (peers) fmt::print("{:<8} largest difference {:.1e}\n", name, worst);
   return true;
 }
 
@@ -234,7 +174,7 @@ int main(int argc, char** argv) {
   sup::PredictInput given = blow;
   given.restitution = 1.0;
   given.contact_s = 0.05;
-  std::vector<Contender> more;
+  std::vector<bench::Contender> more;
   more.push_back({"every S", [&](std::size_t k) {
                     const sup::ImpactInput& in = c.input[k];
                     const sup::SelectionSweep sweep(c.chain, c.chain.pose(in.q), in.normal, extra);
@@ -249,9 +189,7 @@ int main(int argc, char** argv) {
     more.push_back(
         {sup::describe(model), [&, model](std::size_t) { return sup::predict(arm, blow, model).impulse_n_s; }});
   }
-  measure(more);
-  for (const Contender& m : more) {
-    fmt::print("{:<17} {:9.2f} us  allocations {:.1f}\n", m.name, 1e-3 * m.best_ns, m.allocations_per_call);
-  }
+  bench::measure(more);
+  for (const bench::Contender& m : more) bench::print("mrr3", {m});
   return good ? 0 : 1;
 }

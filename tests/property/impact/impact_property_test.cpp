@@ -1,5 +1,5 @@
-// What must hold for a blow of any arm of 1 to 16 joints: against a solve with six coordinates per link, under every
-// selection, turned and mirrored, and at the edges of what can be computed.
+// What must hold for a blow of any arm of 1 to 16 joints: against a solve with six coordinates per link and against the
+// reference's matrices, under every selection, turned and mirrored, and at the edges of what can be computed.
 #include <gtest/gtest.h>
 #include <rapidcheck.h>
 
@@ -9,6 +9,7 @@
 #include <cstdlib>
 #include <limits>
 
+#include "supervisor/impact/dense_oracle.h"
 #include "supervisor/impact/external.h"
 #include "supervisor/impact/measures.h"
 #include "supervisor/impact/selection.h"
@@ -72,6 +73,10 @@ void expect(bool passed) {
 bool near(double a, double b, double tolerance) { return std::abs(a - b) <= tolerance; }
 bool near(const JointVector& a, const JointVector& b, double tolerance) {
   return a.size() == b.size() && (a - b).cwiseAbs().maxCoeff() <= tolerance;
+}
+
+bool near(const WrenchImpulse& a, const WrenchImpulse& b, double tolerance) {
+  return (a.force_n_s - b.force_n_s).norm() <= tolerance && (a.torque_nm_s - b.torque_nm_s).norm() <= tolerance;
 }
 
 /// The blow in maximal coordinates: every link has six speeds, every joint a wrench that keeps it together. One dense
@@ -142,8 +147,9 @@ ImpactPrediction maximal(const Blow& blow) {
   out.delta_qd = x.segment(rates, n);
   out.axis_impulse_nm_s.resize(n);
   for (int i = 0; i < n; ++i) {
-    out.axis_impulse_nm_s[i] =
-        pose.axis[static_cast<std::size_t>(i)].dot(Eigen::Vector3d(x.segment<3>(wrenches + 6 * i + 3)));
+    WrenchImpulse& wrench = out.wrench[static_cast<std::size_t>(i)];
+    wrench = {x.segment<3>(wrenches + 6 * i), x.segment<3>(wrenches + 6 * i + 3)};
+    out.axis_impulse_nm_s[i] = pose.axis[static_cast<std::size_t>(i)].dot(wrench.torque_nm_s);
   }
   return out;
 }
@@ -161,6 +167,50 @@ TEST(AnyArm, AgreesWithASolveInMaximalCoordinates) {
     RC_ASSERT(near(other.impulse_n_s, got.impulse_n_s, scale));
     RC_ASSERT(near(other.delta_qd, got.delta_qd, 10.0 * scale));
     RC_ASSERT(near(other.axis_impulse_nm_s, got.axis_impulse_nm_s, 10.0 * scale));
+    for (std::size_t i = 0; i < static_cast<std::size_t>(blow.dof()); ++i) {
+      RC_ASSERT(near(other.wrench[i], got.wrench[i], 10.0 * scale));
+    }
+  }));
+}
+
+TEST(AnyArm, GivesTheWrenchesOfTheReferencesMatricesWithEitherSign) {
+  expect(rc::check("dense form", [] {
+    Blow blow = *blows(false);
+    blow.input.joints = {};  // as the reference has it
+    blow.input.rotor_model = *rc::gen::element(RotorModel::diag, RotorModel::lower, RotorModel::sym);
+    blow.input.formulation = *rc::gen::element(Formulation::corrected, Formulation::as_printed);
+    const Chain chain(blow.robot);
+    const ImpactPrediction got = predict(chain, blow.input);
+    RC_PRE(well_conditioned(got) && got.approaching);
+    const int n = blow.dof();
+    const Eigen::VectorXd dense =
+        dense_impulse_model(chain, blow.input.q, blow.input.rotor_model, blow.input.formulation).L.leftCols<3>() *
+        (got.impulse_n_s * blow.input.normal);
+    const double scale = 1e-8 * std::max({1.0, got.impulse_n_s, dense.cwiseAbs().maxCoeff()});
+    for (int i = 0; i < n; ++i) {
+      const WrenchImpulse other{dense.segment<3>(3 * i), dense.segment<3>(3 * (n + i))};
+      RC_ASSERT(near(other, got.wrench[static_cast<std::size_t>(i)], scale));
+    }
+  }));
+}
+
+TEST(AnyArm, AnImpulseAlongOneLineMovesTheFaceAlongAnotherAsMuchAsTheOtherWayRound) {
+  expect(rc::check("reciprocity", [] {
+    const Blow blow = *blows(true);
+    const Chain chain(blow.robot);
+    Random random(*whole_range<std::uint64_t>(0, 1U << 30));
+    const Eigen::Matrix<double, 3, Eigen::Dynamic> J = chain.jacobian(blow.input.q).topRows<3>();
+    const std::array<Eigen::Vector3d, 2> line{test::random_unit(random), test::random_unit(random)};
+    std::array<double, 2> across{};
+    for (std::size_t k = 0; k < 2; ++k) {
+      ImpactInput in = blow.input;
+      in.normal = line[k];
+      if (in.normal.dot(J * in.qd) > 0.0) in.qd = -in.qd;
+      const ImpactPrediction p = predict(chain, in);
+      RC_PRE(well_conditioned(p) && p.impulse_n_s > 0.0);
+      across[k] = line[1 - k].dot(J * p.delta_qd) / p.impulse_n_s;
+    }
+    RC_ASSERT(near(across[0], across[1], 1e-9 * std::max(1.0, std::abs(across[0]))));
   }));
 }
 
@@ -297,6 +347,11 @@ TEST(AnyArm, SweepOfSixteenJointsVisitsAllSelectionsExactlyOnce) {
 }
 
 bool sound(const ImpactPrediction& p) {
+  for (Eigen::Index i = 0; i < p.delta_qd.size(); ++i) {
+    const WrenchImpulse& wrench = p.wrench[static_cast<std::size_t>(i)];
+    if (!wrench.force_n_s.allFinite() || !wrench.torque_nm_s.allFinite()) return false;
+    if (!p.feasible && !near(wrench, WrenchImpulse::none(), 0.0)) return false;
+  }
   if (!p.feasible) return p.impulse_n_s == 0.0 && p.delta_qd.isZero() && p.axis_impulse_nm_s.isZero();
   return std::isfinite(p.impulse_n_s) && p.impulse_n_s >= 0.0 && p.delta_qd.allFinite() &&
          p.axis_impulse_nm_s.allFinite() && !std::isnan(p.effective_mass_kg);
