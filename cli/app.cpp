@@ -3,6 +3,8 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <cmath>
+#include <cstdlib>
 
 #include "cli/completion.h"
 #include "cli/doctor.h"
@@ -64,6 +66,26 @@ std::vector<std::string> names_of(const CLI::Option& option) {
 bool takes_value(const CLI::Option& option) { return option.get_items_expected_max() > 0; }
 
 constexpr std::size_t kLongestChoice = 40;
+
+CLI::Validator whole_number() {
+  return CLI::Validator(
+      [](std::string& text) -> std::string {
+        const bool digits = !text.empty() && text.find_first_not_of("0123456789") == std::string::npos;
+        if (digits && text.size() <= 18) return {};
+        return fmt::format("'{}' is not a whole number from 0 to 999999999999999999", text);
+      },
+      "", "whole number");
+}
+
+CLI::Validator between(double low, double high) {
+  const CLI::Range range(low, high);
+  return CLI::Validator(
+      [range](std::string& text) -> std::string {
+        if (std::string why = range(text); !why.empty()) return why;
+        return std::isnan(std::strtod(text.c_str(), nullptr)) ? fmt::format("'{}' is not a number", text) : "";
+      },
+      range.get_description());
+}
 
 OptionWords words_of(const CLI::Option& option) {
   OptionWords words;

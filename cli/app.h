@@ -21,6 +21,11 @@ namespace mrr::cli {
 /// The option is followed by a value.
 [[nodiscard]] bool takes_value(const CLI::Option& option);
 
+/// Of an option whose value is a whole number, 0 included (CLI11 lets -1 wrap).
+[[nodiscard]] CLI::Validator whole_number();
+/// Of an option whose value is a number from `low` to `high`; CLI::Range lets "nan" pass.
+[[nodiscard]] CLI::Validator between(double low, double high);
+
 /// What help and manual say of an option.
 struct OptionWords {
   std::string names;        ///< "-n, --count", or a positional's name

@@ -1,4 +1,5 @@
 #include "cli/hammer.h"
+#include "cli/app.h"
 
 #include <fmt/format.h>
 #include <spawn.h>
@@ -244,13 +245,6 @@ int run(const HammerArguments& arguments) {
 }  // namespace
 
 void add_hammer_command(CLI::App& app, int& status) {
-  const CLI::Validator whole_number(
-      [](std::string& text) -> std::string {
-        const bool digits = !text.empty() && text.find_first_not_of("0123456789") == std::string::npos;
-        if (digits && text.size() <= 18) return {};
-        return fmt::format("'{}' is not a whole number from 0 to 999999999999999999", text);
-      },
-      "", "whole number");
   auto arguments = std::make_shared<HammerArguments>();
   CLI::App* command = app.add_subcommand("hammer", "Drive a nail: simulated on one clock, or by a robot on a CAN bus");
   CLI::Option* robot = command->add_option("--robot", arguments->robot,
@@ -260,13 +254,13 @@ void add_hammer_command(CLI::App& app, int& status) {
                            ->type_name("NAME")
                            ->capture_default_str();
   CLI::Option* seed = command->add_option("--seed", arguments->seed, "Noise, clocks and tolerances; 0: all nominal");
-  seed->capture_default_str()->check(whole_number)->type_name("N");
+  seed->capture_default_str()->check(whole_number())->type_name("N");
   CLI::Option* boot_delay = command
                                 ->add_option("--boot-delay", arguments->boot_delay_ms,
                                              "Modules start within so many ms, drawn by the seed; it shifts the phase "
                                              "of their ticks. 0: all together")
                                 ->type_name("MS")
-                                ->check(CLI::Range(0.0, 5000.0))
+                                ->check(between(0.0, 5000.0))
                                 ->capture_default_str();
   command->add_option("--out", arguments->out, "Folder for the report and the recordings")
       ->type_name("DIR")

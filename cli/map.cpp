@@ -13,6 +13,7 @@
 #include <stdexcept>
 #include <vector>
 
+#include "cli/app.h"
 #include "cli/exit_status.h"
 #include "cli/files.h"
 #include "cli/plan_commands.h"
@@ -240,15 +241,18 @@ void add_map_command(CLI::App& app, int& status) {
       ->add_option("--tilt", a->tilt_deg,
                    "Largest tilt of the face, deg (default: the hammer's; any for arms of less than "
                    "5 joints)")
-      ->check(CLI::Range(0.1, 180.0));
+      ->check(between(0.1, 180.0));
   command->add_option("--restitution", a->restitution, "e of the blow, 0 to 1")
       ->capture_default_str()
-      ->check(CLI::Range(0.0, 1.0));
+      ->check(between(0.0, 1.0));
   command->add_option("--nail-mass", a->nail_mass_kg, "M* of the nail, kg (default: infinite, it stands)")
-      ->check(CLI::Range(1e-3, 1e9));
+      ->check(between(1e-3, 1e9));
   command->add_option("--contact", a->contact_ms, "Duration of the contact, ms (default: the task's)")
-      ->check(CLI::Range(0.1, 1000.0));
-  command->add_option("--seed", a->seed, "Of the searches for poses")->capture_default_str();
+      ->check(between(0.1, 1000.0));
+  command->add_option("--seed", a->seed, "Of the searches for poses")
+      ->check(whole_number())
+      ->type_name("N")
+      ->capture_default_str();
   command->add_flag("--json", a->json, "Print one JSON object and nothing else");
   command->callback([a, &status] { status = run_map(*a); });
 }

@@ -8,6 +8,7 @@
 #include <stdexcept>
 #include <vector>
 
+#include "cli/app.h"
 #include "cli/exit_status.h"
 #include "cli/plan_commands.h"
 #include "cli/text.h"
@@ -129,24 +130,24 @@ void add_strike_options(CLI::App& command, StrikeOptions& o) {
       ->type_name("DIR")
       ->capture_default_str();
   command.add_option("--height", o.height_mm, "Nail's head above the board, mm (default: the task's)")
-      ->check(CLI::Range(0.0, 1000.0));
+      ->check(between(0.0, 1000.0));
   command.add_option("--restitution", o.restitution, "e of the blow, 0 to 1")
       ->capture_default_str()
-      ->check(CLI::Range(0.0, 1.0));
+      ->check(between(0.0, 1.0));
   command.add_option("--nail-mass", o.nail_mass_kg, "M* of the nail, kg (default: infinite, it stands)")
-      ->check(CLI::Range(1e-3, 1e9));
+      ->check(between(1e-3, 1e9));
   command.add_option("--contact", o.contact_ms, "Duration of the contact, ms (default: the task's)")
-      ->check(CLI::Range(0.1, 1000.0));
+      ->check(between(0.1, 1000.0));
   command.add_option("--follow-through", o.follow_mm, "How far past the head the reference goes, mm")
       ->capture_default_str()
-      ->check(CLI::Range(0.0, 200.0));
+      ->check(between(0.0, 200.0));
   command
       .add_option("--penetration", o.penetration_mm,
                   "Strike no harder than drives the nail this far, mm; needs --nail-mass (default: as hard as allowed)")
-      ->check(CLI::Range(0.01, 200.0));
+      ->check(between(0.01, 200.0));
   command.add_option("--speed", o.speed_share, "Share of the speed that the limits allow")
       ->capture_default_str()
-      ->check(CLI::Range(0.001, 1.0));
+      ->check(between(0.001, 1.0));
   command.add_option("--mode", o.mode, "Passive switching: planned, lightest, never, or always all joints")
       ->check(CLI::IsMember({"planned", "lightest", "never", "always"}))
       ->capture_default_str();
@@ -158,7 +159,10 @@ void add_strike_options(CLI::App& command, StrikeOptions& o) {
       ->capture_default_str();
   command.add_option("--start", o.start, "Present pose, rad, comma separated (default: where the robot rests)")
       ->type_name("RAD,...");
-  command.add_option("--seed", o.seed, "Of the searches for poses")->capture_default_str();
+  command.add_option("--seed", o.seed, "Of the searches for poses")
+      ->check(whole_number())
+      ->type_name("N")
+      ->capture_default_str();
 }
 
 sup::PlanInput plan_input(const RobotDescription& robot, const StrikeOptions& o) {

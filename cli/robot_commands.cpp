@@ -1,4 +1,5 @@
 #include "cli/robot_commands.h"
+#include "cli/app.h"
 
 #include <fmt/format.h>
 
@@ -281,7 +282,7 @@ void add_robot_commands(CLI::App& app, int& status) {
   const auto add_wait = [](CLI::App* one, const std::shared_ptr<Arguments>& arguments) {
     CLI::Option* no_wait = one->add_flag("--no-wait", arguments->no_wait, "Return as soon as it is accepted");
     one->add_option("--timeout", arguments->timeout_s, "Wait at most this long, s of wall time")
-        ->check(CLI::Range(0.1, 86400.0))
+        ->check(between(0.1, 86400.0))
         ->type_name("SECONDS")
         ->capture_default_str()
         ->excludes(no_wait);
@@ -293,7 +294,7 @@ void add_robot_commands(CLI::App& app, int& status) {
     CLI::App* one = add("status", "Show what the robot does and how each joint is", a);
     CLI::Option* watch = one->add_flag("-w,--watch", a->watch, "Keep showing it until Ctrl-C");
     one->add_option("--period", a->period_s, "Time between two looks, s of wall time")
-        ->check(CLI::Range(0.05, 3600.0))
+        ->check(between(0.05, 3600.0))
         ->type_name("SECONDS")
         ->capture_default_str()
         ->needs(watch);
@@ -334,7 +335,7 @@ void add_robot_commands(CLI::App& app, int& status) {
         ->required()
         ->type_name(" ");
     one->add_option("--speed", a->speed, "Share of the joints' speed limits, above 0 to 1")
-        ->check(CLI::Range(0.001, 1.0))
+        ->check(between(0.001, 1.0))
         ->type_name("SHARE")
         ->capture_default_str();
     add_wait(one, a);
@@ -367,7 +368,7 @@ void add_robot_commands(CLI::App& app, int& status) {
     a->period_s = 0.1;
     CLI::App* one = add("monitor", "Watch joints and events live: position bars and torque curves", a);
     one->add_option("--period", a->period_s, "Time between two samples, s of wall time")
-        ->check(CLI::Range(0.01, 3600.0))
+        ->check(between(0.01, 3600.0))
         ->type_name("SECONDS")
         ->capture_default_str();
     one->add_option("-n,--count", a->count, "End after this many samples (default: Ctrl-C ends)")

@@ -320,13 +320,6 @@ Json Service::move(const Params& params) {
   if (!(speed > 0.0 && speed <= 1.0)) {
     refuse_parameter(fmt::format("speed is {:g}; give a share of the limits above 0, up to 1", speed));
   }
-  require_no_job();
-  require_running();
-  if (activity() != Activity::holding) {
-    if (moves(activity())) refuse(RpcError::busy, fmt::format("the robot is {}; stop it first", describe(activity())));
-    if (activity() == Activity::disabled) refuse(RpcError::not_ready, "the robot is disabled; enable it first");
-    refuse(RpcError::not_ready, why_not_ready());
-  }
   const JointVector start = reference_position();
   JointVector target = start;
   const auto set = [&](int joint, const Params& value) {
@@ -343,6 +336,13 @@ Json Service::move(const Params& params) {
       const Params& value = (*targets)[static_cast<std::size_t>(i)];
       if (!value.is_null()) set(i, value);
     }
+  }
+  require_no_job();
+  require_running();
+  if (activity() != Activity::holding) {
+    if (moves(activity())) refuse(RpcError::busy, fmt::format("the robot is {}; stop it first", describe(activity())));
+    if (activity() == Activity::disabled) refuse(RpcError::not_ready, "the robot is disabled; enable it first");
+    refuse(RpcError::not_ready, why_not_ready());
   }
   JointTrajectory motion;
   try {
@@ -424,10 +424,10 @@ Json Service::job(const Params& params) const {
 }
 
 Json Service::recording(const Params& params) const {
-  if (jobs_.empty()) refuse(RpcError::no_job, "nothing was recorded yet; begin a job with hammer");
   const auto from = static_cast<std::size_t>(whole_number(params, "from_row", 0, 0, 1'000'000'000));
   const auto most =
       static_cast<std::size_t>(whole_number(params, "max_rows", 500, 1, static_cast<std::int64_t>(kMostRowsAtOnce)));
+  if (jobs_.empty()) refuse(RpcError::no_job, "nothing was recorded yet; begin a job with hammer");
   Json columns = {"time [s]", "swing [1]", "activity [1]", "estimated_force [N]"};
   for (const JointDescription& joint : robot_.joints) {
     for (const char* quantity : {"reference [rad]", "position [rad]", "reference_velocity [rad/s]",

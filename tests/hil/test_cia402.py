@@ -8,7 +8,9 @@ from wire import Abort, Wire
 
 NODE = 4
 DISABLED, READY, ON, ENABLED, QUICK_STOP, FAULT = 0x40, 0x21, 0x23, 0x27, 0x07, 0x08
-READ_ONLY, VALUE, NO_DATA = 0x06010002, 0x06090030, 0x08000024
+READ_ONLY, VALUE, HIGH, LOW = 0x06010002, 0x06090030, 0x06090031, 0x06090032
+STATE, NO_DATA = 0x08000022, 0x08000024
+WAITS_FOR_BRAKE = 12  # 2014h
 
 
 def shows(wire, state, limit_s=3.0):
@@ -168,7 +170,9 @@ def test_supported_modes(drive):
 def test_homing_bits(drive):
     """0400h before, none during, 1400h when attained, remembered over a change of mode."""
     enable(drive, 6)
-    time.sleep(0.3)  # the brake
+    end = time.monotonic() + 3
+    while drive.read(0x2150, 1) == 0 or drive.read(0x2014) == WAITS_FOR_BRAKE:
+        assert time.monotonic() < end
     drive.write(0x6098, 0, 37, "b")
     command(drive, 0x1F)
     end = time.monotonic() + 3
@@ -181,3 +185,61 @@ def test_homing_bits(drive):
     assert drive.read(0x6041) & 0x3400 == 0x1400
 
 
+def by_pdo(wire, *words, mode=8):
+    for word in words:
+        wire.send(0x200 + NODE, word.to_bytes(2, "little") + bytes([mode]))
+
+
+def test_control_words_that_come_together_each_have_their_turn(drive):
+    by_pdo(drive, 0x06, 0x07, 0x0F)
+    shows(drive, ENABLED)
+    by_pdo(drive, 0x00, 0x06)
+    shows(drive, READY)
+    provoke(drive, 0x2310)
+    shows(drive, FAULT)
+    by_pdo(drive, 0x00, 0x80)
+    shows(drive, DISABLED)
+
+
+def test_starting_the_node_enables_nothing_by_an_old_command(drive):
+    enable(drive)
+    drive.nmt(0x80)
+    drive.wait_state(0x7F)
+    shows(drive, ON)
+    command(drive, 0x0F)
+    drive.operational()
+    time.sleep(0.1)
+    shows(drive, ON)
+    command(drive, 0x0F)
+    shows(drive, ENABLED)
+
+
+def test_reset_node_starts_a_faulted_drive_anew_reset_communication_does_not(drive):
+    provoke(drive, 0x2310)
+    shows(drive, FAULT)
+    drive.reset(0x82)
+    shows(drive, FAULT)
+    assert drive.read(0x1001) != 0
+    drive.reset(0x81)
+    shows(drive, DISABLED)
+    assert drive.read(0x1001) == 0 and drive.read(0x603F) == 0
+
+
+def test_only_methods_of_homing_that_there_are(drive):
+    for method in (-1, 35, 37):
+        drive.write(0x6098, 0, method, "b")
+    for method in (-128, -2, 0, 1, 17, 33, 34, 36, 38, 127):
+        assert drive.abort_of(drive.write, 0x6098, 0, method, "b") in (VALUE, HIGH, LOW)
+    assert drive.read(0x6098, form="b") == 37
+
+
+def test_interpolation_time_is_the_knot_period_in_another_form(drive):
+    assert (drive.read(0x60C2, 1), drive.read(0x60C2, 2, "b")) == (4, -3)
+    drive.write(0x60C2, 1, 10, "B")
+    assert drive.read(0x2003) == 10_000
+    drive.write(0x60C2, 2, -6, "b")
+    assert drive.read(0x2003) == 10_000, "10 us cannot be"
+    drive.write(0x2003, 0, 2_000, "I")
+    assert (drive.read(0x60C2, 1), drive.read(0x60C2, 2, "b")) == (2, -3)
+    enable(drive)
+    assert drive.abort_of(drive.write, 0x60C2, 1, 4, "B") == STATE, "not while it is led"

@@ -37,6 +37,7 @@ def store(wire, signature=SAVE):
 def test_what_is_stored_survives_a_restart_and_a_cut_file(fresh_robot, tmp_path):
     path = tmp_path / "joint_1.store"
     with Store(fresh_robot, path) as wire:
+        assert wire.read(0x1010, 1, "I") == wire.read(0x1011, 1, "I") == 1, "on command"
         planned = wire.read(0x2001, 0, "I")
         wire.write(0x2120, 2, 50.0, "f")
         store(wire)

@@ -148,6 +148,17 @@ def test_unusable_option_is_named(options, named, refused):
     assert len(said.splitlines()) <= 2, said
 
 
+@pytest.mark.parametrize("options", [
+    ["plan", "--seed", "-1"], ["predict", "--seed", "-1"], ["map", "--seed", "-1"], ["plan", "--contact", "nan"],
+    ["predict", "--nail-mass", "nan"], ["plan", "--speed", "nan"], ["map", "--contact", "-nan"], ["hammer", "--boot-delay", "nan"],
+    ["move", "2=0rad", "--speed", "nan"], ["log", "--count", "nan"],
+], ids=" ".join)
+def test_a_number_that_is_none_and_one_that_would_wrap_are_refused_everywhere(options, program):
+    done = subprocess.run([program("cli/mrr"), *options], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2 and done.stdout == "", done.stderr
+    assert options[-2] in done.stderr and options[-1] in done.stderr and len(done.stderr.splitlines()) == 1, done.stderr
+
+
 def test_unknown_mode_lists_the_known_ones(refused):
     said = refused("--mode", "sometimes")
     for word in ("planned", "never", "always"):

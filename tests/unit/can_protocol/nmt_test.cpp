@@ -131,6 +131,9 @@ TEST_F(NmtTest, one_node_is_watched_by_one_entry_only) {
   EXPECT_EQ(write(0x1016, 2, 0x00020064, 4), 0U);
   EXPECT_EQ(write(0x1016, 1, 0, 4), 0U);
   EXPECT_EQ(write(0x1016, 3, 0x00010064, 4), 0U);
+  for (const std::uint8_t entry : {std::uint8_t{1}, std::uint8_t{4}}) {
+    EXPECT_EQ(write(0x1016, entry, 0x00800064, 4), 0U) << "there is no node 128: the entry is unused";
+  }
 }
 
 TEST_F(NmtTest, extended_remote_fd_and_overlong_frames_have_no_effect_and_are_counted) {
