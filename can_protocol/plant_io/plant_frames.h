@@ -37,15 +37,22 @@ constexpr std::uint32_t group_of(Participant joint) noexcept {
 /// Of one instant of simulated time. Frames of higher groups are sent first; group 0 is the go.
 struct Tick {
   std::uint32_t group = 0;
-  bool lockstep = false;     ///< the plant waits for the answers; otherwise it runs on the wall clock
-  bool ending = false;       ///< the plant stops after this one
-  Time now;                  ///< simulated, 0 .. 2^48 ns (78 hours)
+  bool lockstep = false;  ///< the plant waits for the answers; otherwise it runs on the wall clock
+  bool ending = false;    ///< the plant stops after this one
+  Time now;  ///< lockstep: simulated, 0 .. 2^48 ns (78 hours); else CLOCK_MONOTONIC of the instant, modulo 2^48 ns
   std::uint32_t asked = 0;   ///< bit per participant that is taken along and must answer
   std::uint32_t number = 0;  ///< counts up by one, wraps
   std::array<Block, kBlocksPerTick> blocks{};
 
   friend bool operator==(const Tick&, const Tick&) = default;
 };
+
+/// The instant nearest to `near` that the 48 bits of a tick can mean.
+[[nodiscard]] constexpr Time whole_instant(Time bits, Time near) noexcept {
+  constexpr std::int64_t kWrap = std::int64_t{1} << 48;
+  const std::int64_t missing = near.ns - bits.ns + kWrap / 2;
+  return Time{bits.ns + (missing >= 0 ? missing / kWrap : 0) * kWrap};
+}
 
 /// What a participant does until the next tick; the payload is its own business.
 inline constexpr std::size_t kAnswerBytes = 24;

@@ -86,12 +86,16 @@ void PlantLink::take(const can::ReceivedFrame& received, std::optional<OwnTick>&
   own.number = tick->number;
   own.sensors = block_;
   own.arrived = received.at;
-  // A restarted plant begins at zero again; an own clock must not.
-  constexpr Duration kRejoinStep = milliseconds(1);
-  if (started_ && tick->now + clock_shift_ <= own_now_) clock_shift_ = own_now_ + kRejoinStep - tick->now;
-  own.now = tick->now + clock_shift_;
-  own.since_last = started_ ? own.now - own_now_ : Duration{};
-  own_now_ = own.now;
+  if (tick->lockstep) {
+    // A restarted plant begins at zero again; an own clock must not.
+    constexpr Duration kRejoinStep = milliseconds(1);
+    if (started_ && tick->now + clock_shift_ <= own_now_) clock_shift_ = own_now_ + kRejoinStep - tick->now;
+    own.now = tick->now + clock_shift_;
+    own.since_last = started_ ? own.now - own_now_ : Duration{};
+    own_now_ = own.now;
+  } else {
+    instant_ = own.now = whole_instant(tick->now, instant_.ns != 0 ? instant_ : can::monotonic_now());
+  }
   started_ = true;
   joined_ = true;
   ++statistics_.ticks;
@@ -128,7 +132,8 @@ std::span<const can::ReceivedFrame> PlantLink::robot_frames(can::CanSocket& robo
   // The cut compares the kernel's stamps themselves: no conversion can put two frames in another order.
   robot.use_kernel_times(true);
   inbox_.fill(robot, tick.arrived);
-  return inbox_.take(tick.arrived, tick.now - tick.since_last, can::kernel_now());
+  const Time now = inbox_.reaches_beyond(tick.arrived) ? can::kernel_now() : Time{INT64_MAX};
+  return inbox_.take(tick.arrived, tick.now - tick.since_last, now);
 }
 
 void PlantLink::discard_up_to(can::CanSocket& robot, const OwnTick& tick) noexcept {

@@ -47,7 +47,8 @@ class TickInbox {
 
 /// A tick as one participant sees it.
 struct OwnTick {
-  /// Own clock: simulated time, moved forward when the plant was restarted so that it never runs backwards.
+  /// Lockstep: simulated time, moved forward when the plant was restarted so that it never runs backwards.
+  /// Free-running: the instant on CLOCK_MONOTONIC at which it was due, however late it comes.
   Time now;
   Duration since_last;  ///< of the own clock; 0 in the first tick
   bool lockstep = false;
@@ -115,6 +116,7 @@ class PlantLink {
   Time announced_{};
   Time own_now_{};
   Duration clock_shift_{};
+  Time instant_{};  ///< free-running: of the last tick
   PlantLinkStatistics statistics_;
 };
 

@@ -4,6 +4,7 @@
 #include <linux/can/error.h>
 #include <linux/can/raw.h>
 #include <net/if.h>
+#include <poll.h>
 #include <sys/ioctl.h>
 #include <sys/socket.h>
 #include <sys/time.h>
@@ -149,7 +150,7 @@ struct CanSocket::Impl {
   std::array<iovec, kBatch> send_vector{};
   std::array<mmsghdr, kBatch> send_header{};
 
-  std::span<const ReceivedFrame> receive(int flags = MSG_DONTWAIT, Time deadline = {}) noexcept;
+  std::span<const ReceivedFrame> receive(int flags = MSG_DONTWAIT) noexcept;
   [[nodiscard]] Time look_at_clocks() noexcept;
   Time arrival(msghdr& header, Time now) noexcept;
   void note_error_frame(const canfd_frame& frame) noexcept;
@@ -189,10 +190,9 @@ CanSocket CanSocket::open(const std::string& interface, const CanSocketOptions& 
   return CanSocket(std::make_unique<Impl>(std::move(descriptor), interface));
 }
 
-/// Now, on the clock of the arrival times. The offset between the clocks follows a step of the system's time.
+/// CLOCK_MONOTONIC. The offset between the clocks follows a step of the system's time.
 Time CanSocket::Impl::look_at_clocks() noexcept {
   const Time real = kernel_now();
-  if (kernel_times) return real;
   const Time now = monotonic_now();
   if (clock.stepped(now, real)) clock.set(clock_offset());
   return now;
@@ -205,7 +205,7 @@ Time CanSocket::Impl::arrival(msghdr& header, Time now) noexcept {
     if (c->cmsg_type == SO_TIMESTAMPNS) {
       timespec t{};
       std::memcpy(&t, CMSG_DATA(c), sizeof t);
-      at = kernel_times ? std::min(to_time(t), now) : clock.arrival(to_time(t), now);
+      at = kernel_times ? to_time(t) : clock.arrival(to_time(t), now);
     } else if (c->cmsg_type == SO_RXQ_OVFL) {
       std::uint32_t lost = 0;
       std::memcpy(&lost, CMSG_DATA(c), sizeof lost);
@@ -227,7 +227,8 @@ void CanSocket::Impl::note_error_frame(const canfd_frame& frame) noexcept {
   if ((frame.can_id & CAN_ERR_RESTARTED) != 0) bus_off = false;
 }
 
-std::span<const ReceivedFrame> CanSocket::Impl::receive(int flags, Time deadline) noexcept {
+std::span<const ReceivedFrame> CanSocket::Impl::receive(int flags) noexcept {
+  Time deadline;
   std::size_t count = 0;
   while (count == 0) {
     for (std::size_t i = 0; i < kBatch; ++i) {
@@ -245,7 +246,7 @@ std::span<const ReceivedFrame> CanSocket::Impl::receive(int flags, Time deadline
       break;
     }
     if (n == 0) break;
-    const Time now = look_at_clocks();
+    const Time now = kernel_times ? Time{} : look_at_clocks();  // in some virtual machines reading a clock is dear
     for (std::size_t i = 0; i < static_cast<std::size_t>(n); ++i) {
       const Time at = arrival(receive_header[i].msg_hdr, now);
       if ((received_raw[i].can_id & CAN_ERR_FLAG) != 0) {
@@ -259,8 +260,12 @@ std::span<const ReceivedFrame> CanSocket::Impl::receive(int flags, Time deadline
       }
       received[count++] = {*frame, at};
     }
-    // A batch of nothing but error frames: there may be more behind it, but they do not start the wait again.
-    if (count == 0 && flags == MSG_WAITFORONE && monotonic_now() >= deadline) break;
+    // A batch of nothing but error frames: there may be more behind it, but they do not start the wait again and again.
+    if (count == 0 && flags == MSG_WAITFORONE) {
+      const Time seen = monotonic_now();
+      if (deadline.ns == 0) deadline = seen + wait;
+      if (seen >= deadline) break;
+    }
   }
   statistics.received += static_cast<std::int64_t>(count);
   if (count > 0) link_down = bus_off = false;
@@ -277,7 +282,14 @@ std::span<const ReceivedFrame> CanSocket::receive(Duration timeout) noexcept {
     if (::setsockopt(impl_->descriptor.get(), SOL_SOCKET, SO_RCVTIMEO, &t, sizeof t) != 0) return {};
     impl_->wait = timeout;
   }
-  return impl_->receive(MSG_WAITFORONE, monotonic_now() + timeout);
+  return impl_->receive(MSG_WAITFORONE);
+}
+
+void CanSocket::wait(Duration timeout) const noexcept {
+  if (timeout.ns <= 0) return;
+  pollfd readable{impl_->descriptor.get(), POLLIN, 0};
+  const timespec t{timeout.ns / 1'000'000'000, timeout.ns % 1'000'000'000};
+  (void)::ppoll(&readable, 1, &t, nullptr);
 }
 
 std::size_t CanSocket::send(std::span<const Frame> frames) noexcept {

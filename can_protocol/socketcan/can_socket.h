@@ -65,9 +65,14 @@ class CanSocket {
   /// What has arrived, oldest first, at most kBatch frames; never waits. Empty: nothing is left. Valid until the next
   /// call. `at` is CLOCK_MONOTONIC, or as use_kernel_times() says.
   [[nodiscard]] std::span<const ReceivedFrame> receive() noexcept;
-  /// As receive(), but waits up to `timeout` for the first frame (cheapest when it is always the same). Returns
+  /// As receive(), but waits up to `timeout`, in steps of the kernel's tick, for the first frame (cheapest when it is
+  /// always the same); longer, at most twice as long, when the controller reports errors meanwhile. Returns
   /// earlier, empty, when a signal comes.
   [[nodiscard]] std::span<const ReceivedFrame> receive(Duration timeout) noexcept;
+
+  /// Until frames wait to be received, `timeout` has passed (to the accuracy of the kernel's timers), or a signal
+  /// comes.
+  void wait(Duration timeout) const noexcept;
 
   /// Hands frames to the kernel. What it does not take at once is dropped and counted, never kept: nothing stale may
   /// ever move the robot. Returns how many it took.
@@ -81,7 +86,8 @@ class CanSocket {
   /// Drops everything that waits to be received.
   void discard_received() noexcept;
   void measure_clock_offset() noexcept;
-  /// `at` stays the kernel's stamp, CLOCK_REALTIME: for comparing frames of two sockets, exact to the nanosecond.
+  /// `at` stays the kernel's stamp, CLOCK_REALTIME: for comparing frames of two sockets, exact to the nanosecond. After
+  /// the system's time was set back it may be later than now.
   void use_kernel_times(bool on) noexcept;
 
   /// For poll: readable when frames wait.

@@ -4,9 +4,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <ctime>
 #include <fstream>
 
+#include "common/realtime/realtime.h"
 #include "common/rpc/runtime_dir.h"
 #include "module_fw/targets/host/module_config.h"
 #include "supervisor/supervisor.h"
@@ -18,9 +18,9 @@ namespace {
 constexpr Duration kAnswerLimit = milliseconds(1000);  // wall clock; then the participant is dropped
 constexpr Duration kWaitSlice = milliseconds(100);     // signals and calls are noticed within it
 constexpr Duration kRealtimeSilence = milliseconds(50);
-constexpr std::int64_t kMaxCatchUp = 20;   // free-running: ticks the world may jump when the process was late
-constexpr std::int64_t kServeEvery = 20;   // lockstep: ticks between looks at the control socket
-constexpr std::size_t kMaxRows = 600'000;  // ten minutes
+constexpr Duration kMaxLate = milliseconds(100);  // free-running: what is made up for; the world stands still longer
+constexpr std::int64_t kServeEvery = 20;          // ticks between looks at the control socket
+constexpr std::size_t kMaxRows = 600'000;         // ten minutes
 constexpr std::size_t kMaxSwings = 1'000;
 
 rpc::Json number(double x) { return std::isfinite(x) ? rpc::Json(x) : rpc::Json(nullptr); }
@@ -30,11 +30,6 @@ can::CanSocket open(const std::string& interface) {
   const std::array filters{can::CanFilter{plant_io::kAnswerId, kParticipantMask},
                            can::CanFilter{plant_io::kAnnounceId, kParticipantMask}};
   return can::CanSocket::open(interface, {.filters = filters, .fd = true});
-}
-
-void sleep_until(Time t) noexcept {
-  const timespec at{t.ns / 1'000'000'000, t.ns % 1'000'000'000};
-  ::clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &at, nullptr);
 }
 
 bool in_swing(int activity) {
@@ -295,42 +290,59 @@ void PlantHost::run_lockstep(const volatile int& stop) {
   }
 }
 
+// One step at a time: after a delay the world makes up for it in steps that everybody answers, as far as they come
+// within a step's time. So controllers, which belong to the hardware, miss nothing because this machine was busy.
 void PlantHost::run_realtime(const volatile int& stop) {
-  Time scheduled = can::monotonic_now();
+  const std::string refused = realtime::ask(realtime::kPlantPriority);
+  if (!refused.empty())
+    say(fmt::format("{}: the world will be late at times; allow it with CAP_SYS_NICE and CAP_IPC_LOCK", refused));
+  now_ = can::monotonic_now();
+  epoch_ = now_ - plant_.now();
+  Time sent = now_;
   for (bool ending = false; !ending;) {
-    scheduled += period_;
-    sleep_until(scheduled);
-    const Time woke = can::monotonic_now();
-    std::int64_t steps = 1 + (woke - scheduled) / period_;
-    scheduled += period_ * (steps - 1);
-    if (steps > kMaxCatchUp) {
-      late_ += steps - kMaxCatchUp;
-      steps = kMaxCatchUp;
-    }
+    const Time scheduled = now_ + period_;
+    realtime::sleep_until(std::max(scheduled, sent + period_ * 4 / 5));  // in haste it would take the others' time
+    Time woke = can::monotonic_now();
+    late_by_.add(woke - scheduled);
     receive({});
+    for (const Time limit = sent + period_; woke < limit && unanswered(); woke = can::monotonic_now()) {
+      socket_.wait(limit - woke);
+      receive({});
+    }
+    if (woke - scheduled > kMaxLate) {
+      const Duration lost = period_ * ((woke - scheduled - kMaxLate) / period_ + 1);
+      late_ += lost / period_;
+      epoch_ += lost;
+    }
     for (std::size_t i = 0; i < kParticipants; ++i) {
       // A process that was late itself must not take the others for dead.
-      if (participants_[i].joined && steps < kMaxCatchUp &&
-          woke - participants_[i].heard > kRealtimeSilence + period_ * steps)
+      if (participants_[i].joined && scheduled - participants_[i].heard > kRealtimeSilence)
         drop(static_cast<plant_io::Participant>(i),
              fmt::format("has been silent for {} ms and is left out", kRealtimeSilence / milliseconds(1)));
     }
     apply_answers();
-    plant_.step(period_ * steps);
+    plant_.step(period_);
     now_ = plant_.now() + epoch_;
-    ticks_ += steps;
+    ++ticks_;
     observe();
     ending = stop != 0 || (options_.ticks > 0 && ticks_ >= options_.ticks);
+    for (Participant& p : participants_) p.answered = false;
     send_tick(ending);
-    if (server_ != nullptr) server_->serve();
+    sent = woke;
+    if (server_ != nullptr && ticks_ % kServeEvery == 0) server_->serve();
   }
 }
 
+bool PlantHost::unanswered() const {
+  return std::any_of(participants_.begin(), participants_.end(),
+                     [](const Participant& p) { return p.joined && !p.answered; });
+}
+
 void PlantHost::print_statistics() const {
-  const double simulated_s = now_.seconds();
   say(fmt::format("{} ticks in {:.2f} s: {:.0f} ticks/s, {:.2f} x real time{}", ticks_, wall_s_,
-                  static_cast<double>(ticks_) / wall_s_, simulated_s / wall_s_,
+                  static_cast<double>(ticks_) / wall_s_, (period_ * ticks_).seconds() / wall_s_,
                   late_ > 0 ? fmt::format("; stood still for {} ms because the process was late", late_) : ""));
+  if (late_by_.count() > 0) say(fmt::format("ticks late by {}", late_by_.in_words()));
   const can::CanSocketStatistics& bus = socket_.statistics();
   say(fmt::format("plant bus: sent {}, received {}, dropped {}, lost {}, malformed {}", bus.sent, bus.received,
                   bus.send_dropped, bus.receive_overflow, malformed_ + bus.malformed));

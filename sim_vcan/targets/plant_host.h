@@ -11,6 +11,7 @@
 #include "can_protocol/socketcan/can_socket.h"
 #include "common/rpc/server.h"
 #include "module_fw/targets/linux/joint_bytes.h"
+#include "module_fw/targets/linux/lateness.h"
 #include "sim_vcan/plant/plant.h"
 #include "sim_vcan/world/recorder.h"
 #include "sim_vcan/world/swing_watch.h"
@@ -59,6 +60,8 @@ class PlantHost {
   void take(const can::ReceivedFrame& received, Time now);
   void drop(plant_io::Participant who, const std::string& why);
   void apply_answers();
+  /// Somebody who was asked has not answered the last tick.
+  [[nodiscard]] bool unanswered() const;
   /// After each step: recording and the watch of the swing.
   void observe();
   [[nodiscard]] std::uint32_t joined() const;
@@ -82,11 +85,12 @@ class PlantHost {
   std::array<can::Frame, 6> frames_{};
   std::uint32_t number_ = 0;
   std::int64_t ticks_ = 0;
-  Time now_;          ///< simulated; goes on over a reset
+  Time now_;          ///< lockstep: simulated, goes on over a reset; free-running: CLOCK_MONOTONIC of the last tick
   Duration epoch_{};  ///< now_ = epoch_ + plant_.now()
   double wall_s_ = 0.0;
   std::int64_t malformed_ = 0;
-  std::int64_t late_ = 0;  ///< free-running: milliseconds the world stood still because the process was late
+  std::int64_t late_ = 0;  ///< free-running: ticks the world stood still because the process was late
+  fw::Lateness late_by_;   ///< free-running
 
   std::unique_ptr<Telemetry> recording_;
   SwingWatch watch_;

@@ -2,15 +2,11 @@
 
 #include <fmt/format.h>
 #include <pthread.h>
-#include <sched.h>
-#include <sys/mman.h>
 
-#include <cerrno>
 #include <csignal>
-#include <cstring>
-#include <ctime>
 
 #include "can_protocol/client.h"
+#include "common/realtime/realtime.h"
 #include "common/robot/errors.h"
 
 namespace mrr::sup {
@@ -21,16 +17,9 @@ constexpr Duration kListen = milliseconds(150);       // three heartbeats of a s
 constexpr Duration kAnswerTime = milliseconds(500);   // far more than a cycle, even on a busy machine
 constexpr Duration kClockCheck = milliseconds(1000);  // the system's time may be stepped: look again
 constexpr Duration kPlantSilence = milliseconds(1000);
-constexpr int kPriority = 70;
 constexpr std::uint32_t kNodeIdMask = 0x07F;
-/// In lockstep a cycle's work is timed now and then only: reading the clock is dear in some virtual machines.
+/// A cycle's work is timed now and then only: reading the clock is dear in some virtual machines.
 constexpr std::int64_t kTimedTicks = 16;
-
-void sleep_until(Time t) noexcept {
-  const timespec at{t.ns / 1'000'000'000, t.ns % 1'000'000'000};
-  while (::clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &at, nullptr) == EINTR) {
-  }
-}
 
 can::CanSocket open_socket(const RobotDescription& robot, const std::string& interface) {
   StaticVector<can::CanFilter, kMaxJoints + 1> filters;
@@ -63,15 +52,12 @@ bool SocketBus::another_supervisor() {
 // ---------------------------------------------------------------------------------------------- real time
 
 RealtimeLoop::RealtimeLoop(Cycle& cycle, SocketBus& bus, Duration period) : cycle_(cycle), bus_(bus), period_(period) {
-  granted_.memory = ::mlockall(MCL_CURRENT | MCL_FUTURE) == 0;
-  if (!granted_.memory) granted_.refused = fmt::format("memory is not locked ({})", std::strerror(errno));
+  const std::string memory = realtime::lock_memory();
+  granted_.memory = memory.empty();
   thread_ = std::thread([this] { run(); });
   while (!started_.load(std::memory_order_acquire)) std::this_thread::yield();
   granted_.scheduling = priority_error_ == 0;
-  if (!granted_.scheduling) {
-    granted_.refused = fmt::format("{}{}no real-time priority ({})", granted_.refused,
-                                   granted_.refused.empty() ? "" : ", ", std::strerror(priority_error_));
-  }
+  granted_.refused = realtime::joined(memory, realtime::describe_priority(priority_error_));
 }
 
 RealtimeLoop::~RealtimeLoop() {
@@ -79,26 +65,21 @@ RealtimeLoop::~RealtimeLoop() {
   thread_.join();
 }
 
-void RealtimeLoop::ask_for_priority() noexcept {
-  sched_param parameters{};
-  parameters.sched_priority = kPriority;
-  priority_error_ = ::pthread_setschedparam(::pthread_self(), SCHED_FIFO, &parameters);  // returns its error
-}
-
 void RealtimeLoop::run() noexcept {
   sigset_t all;
   sigfillset(&all);
   ::pthread_sigmask(SIG_SETMASK, &all, nullptr);
-  ask_for_priority();
+  priority_error_ = realtime::take_priority(realtime::kSupervisorPriority);
   started_.store(true, std::memory_order_release);
 
   StaticVector<can::ReceivedFrame, 512> inbox;
   bus_.socket().discard_received();
   Time scheduled = can::monotonic_now();
   Time clock_checked = scheduled;
+  std::int64_t cycles = 0;
   while (!stop_.load(std::memory_order_relaxed)) {
     scheduled += period_;
-    sleep_until(scheduled);
+    realtime::sleep_until(scheduled);
     const Time woke = can::monotonic_now();
     cycle_.count_late(woke - scheduled);
     const std::int64_t missed = (woke - scheduled) / period_;
@@ -106,16 +87,17 @@ void RealtimeLoop::run() noexcept {
     scheduled += period_ * missed;
 
     inbox.clear();
-    bool room = true;
-    for (auto frames = bus_.receive(); room && !frames.empty(); frames = bus_.receive()) {
-      for (const can::ReceivedFrame& frame : frames) room = inbox.push_back(frame) && room;
+    for (bool more = true; more && inbox.capacity() - inbox.size() >= can::CanSocket::kBatch;) {
+      const std::span<const can::ReceivedFrame> frames = bus_.receive();
+      for (const can::ReceivedFrame& frame : frames) (void)inbox.push_back(frame);
+      more = frames.size() == can::CanSocket::kBatch;
     }
     cycle_.step(scheduled, {inbox.data(), inbox.size()});
     if (woke - clock_checked > kClockCheck) {
       bus_.socket().measure_clock_offset();
       clock_checked = woke;
     }
-    cycle_.count_work(can::monotonic_now() - woke);
+    if (++cycles % kTimedTicks == 0) cycle_.count_work(can::monotonic_now() - woke);
   }
 }
 

@@ -51,7 +51,6 @@ class RealtimeLoop {
 
  private:
   void run() noexcept;
-  void ask_for_priority() noexcept;
 
   Cycle& cycle_;
   SocketBus& bus_;

@@ -1,12 +1,15 @@
 """The plant bus: lockstep is repeatable, a lost plant is a fault, no plant is no power, everybody leaves in order."""
 
+import contextlib
 import os
+import signal
 import subprocess
 import time
 
 import pytest
 
-from conftest import ROBOT
+from conftest import ROBOT, wait_until
+from test_supervisor import Rpc
 from wire import Wire
 
 MODULE, PLANT = "module_fw/targets/linux/mrr_module", "sim_vcan/targets/mrr_plant"
@@ -73,6 +76,32 @@ def test_a_lost_plant_is_a_fault_and_not_a_frozen_joint(fresh_robot, pace):
         assert wire.read(0x6041) & 0x4F == 0x08, "no fault"
         assert wire.read(0x2030, 1) == 0x7305, "the first cause is the encoder"
     module.stop()
+
+
+def test_what_a_busy_machine_delays_is_made_up_for(fresh_robot):
+    plant = fresh_robot.plant("--realtime")
+    modules = [start_module(fresh_robot, joint, "--plant", "vcan1") for joint in (1, 2, 3)]
+    world = Rpc(fresh_robot.folder / "plant.sock", checked=False)
+    wait_until(lambda: all(joint["takes_part"] for joint in world.get("truth")["joints"]))
+    time.sleep(1.5)
+    before = world.get("truth")
+    for process in [*modules, plant]:
+        process.popen.send_signal(signal.SIGSTOP)
+    time.sleep(0.06)
+    for process in [plant, *modules]:
+        process.popen.send_signal(signal.SIGCONT)
+    time.sleep(1.5)
+    after = world.get("truth")
+    assert time.monotonic() - after["time_s"] < 0.1, "the world has not caught up"
+    with contextlib.ExitStack() as stack:
+        for node in (2, 3, 4):
+            wire = stack.enter_context(Wire("vcan0", node))
+            assert wire.read(0x6041) & 0x4F == 0x40 and wire.read(0x2030, 1) == 0, f"node {node} has seen a fault"
+    for module in modules:
+        module.stop()
+    plant.stop()
+    if "stood still" not in plant.text():  # it was delayed by more than is made up for
+        assert after["ticks"] - before["ticks"] == round((after["time_s"] - before["time_s"]) * 1000)
 
 
 def test_without_a_plant_there_is_no_way_to_operation_enabled(fresh_robot):

@@ -11,13 +11,14 @@ from conftest import ROBOT, wait_until
 from test_supervisor import SUPERVISOR, Rpc, joint
 
 ATTEMPTS = 8
+BOUND_MS = 20  # set points are continued for 24 ms, and come every 4 ms
 
 
 @pytest.fixture
 def rpc(fresh_robot):
     fresh_robot.plant("--realtime")
     for number in (1, 2, 3):
-        fresh_robot.module(number, "--realtime", "--verbose")
+        fresh_robot.module(number, "--verbose")
     path = fresh_robot.folder / "supervisor.sock"
     fresh_robot.start(SUPERVISOR, "--robot", ROBOT, "--can", "vcan0", "--socket", path)
     wait_until(path.exists, what="the supervisor's socket")
@@ -40,7 +41,8 @@ def ended(rpc, method):
 def bring_up(rpc):
     """Holding; faults of being late are acknowledged."""
     for attempt in range(1, ATTEMPTS + 1):
-        faulted = any(j["stage"] == "faulted" for j in rpc.get("status")["joints"])
+        status = rpc.get("status")
+        faulted = status["activity"] == "faulted" or any(j["stage"] == "faulted" for j in status["joints"])
         why = (named(ended(rpc, "reset")) if faulted else "") or named(ended(rpc, "enable"))
         if not why:
             print(f"holding at attempt {attempt}")
@@ -61,20 +63,19 @@ def named(reason):
 
 
 def nothing_carried_through(rpc, robot):
-    """A failure, unless supervisor, modules or emulator were late: then an expected one, with the figures."""
-    clock = rpc.get("status")["clock"]
-    late = [f"supervisor: {clock['missed']} of {clock['cycles']} cycles left out"] if clock["missed"] else []
-    for process in [each for each in robot.processes if each.name == "mrr_module"]:
+    """A failure, unless supervisor, modules or emulator were later than the bound: then an expected one, with the figures."""
+    late_ms = rpc.get("status")["clock"]["late_us"]["max"] / 1e3
+    late = [f"supervisor late by {late_ms:.0f} ms"] if late_ms > BOUND_MS else []
+    for process in [each for each in robot.processes if each.name in ("mrr_module", "mrr_plant")][::-1]:
         process.stop()
-        # Its own words at the end; a sample that did not come is the emulator's lateness.
-        ticks, left_out, without_sample = map(int, re.search(
-            r"lateness of (\d+) ticks.*?; (\d+) left out; (\d+) without a new sample", process.text()).groups())
-        if left_out or without_sample > 0.01 * ticks:
-            late.append(f"module: {left_out} of {ticks} ticks left out, {without_sample} without a new sample")
+        # Its own words at the end.
+        late_ms = int(re.search(r"late.* max (\d+) us", process.text()).group(1)) / 1e3
+        if late_ms > BOUND_MS:
+            late.append(f"{process.name} late by {late_ms:.0f} ms")
     text = f"none of {ATTEMPTS} attempts was carried through"
     if not late:
-        pytest.fail(f"{text}, and nobody was late")
-    pytest.xfail(f"{text}; {'; '.join(late)}")
+        pytest.fail(f"{text}, and nobody was later than {BOUND_MS} ms")
+    pytest.xfail(f"{text}; {', '.join(late)}: more than {BOUND_MS} ms")
 
 
 def test_it_comes_up_and_moves(rpc, fresh_robot):
@@ -102,7 +103,8 @@ def test_it_comes_up_and_moves(rpc, fresh_robot):
 
 def test_it_hammers(rpc, fresh_robot):
     plant = Rpc(fresh_robot.folder / "plant.sock", checked=False)
-    before = plant.get("truth")["nail_height_m"]  # of all attempts: one that was broken off may have struck
+    before = plant.get("truth")["nail_height_m"]
+    driven = False
     for attempt in range(1, ATTEMPTS + 1):
         bring_up(rpc)
         answer = rpc.call("hammer", swings=2)
@@ -114,7 +116,10 @@ def test_it_hammers(rpc, fresh_robot):
         print(f"attempt {attempt}: {job['verdict']}, {job['reason']}; {len(job['swings'])} swings")
         assert job["verdict"] in ("flush", "swings_used_up", "swing_aborted", "joint_fault", "not_ready", "nothing_moves", "nothing_hit",
                                   "plan_refused") and job["reason"]
-        if job["verdict"] in ("flush", "swings_used_up"):
-            assert plant.get("truth")["nail_height_m"] < before - 1e-3, "no blow reached the nail"
+        height = plant.get("truth")["nail_height_m"]
+        # An attempt that was broken off may have driven the nail: the next one strikes where it is no more.
+        if job["verdict"] in ("flush", "swings_used_up") or (job["verdict"] == "nothing_hit" and driven):
+            assert height < before - 1e-3, "no blow reached the nail"
             return
+        driven = driven or height < before - 5e-3
     nothing_carried_through(rpc, fresh_robot)

@@ -1,8 +1,12 @@
-// Room: module_fw/targets/linux. How late the ticks of a loop began: a histogram in fixed memory. No I/O, no clock.
+// Room: module_fw/targets/linux. How late the ticks of a loop began: a histogram in fixed memory. Host only; no I/O, no
+// clock.
 #pragma once
+
+#include <fmt/format.h>
 
 #include <array>
 #include <cstdint>
+#include <string>
 
 #include "common/core/time.h"
 
@@ -28,6 +32,10 @@ class Lateness {
   }
   [[nodiscard]] Duration max() const noexcept { return max_; }
   [[nodiscard]] std::int64_t count() const noexcept { return count_; }
+  [[nodiscard]] std::string in_words() const {
+    return fmt::format("p50 {:.0f} us, p99 {:.0f} us, p99.9 {:.0f} us, max {:.0f} us", percentile(0.5).seconds() * 1e6,
+                       percentile(0.99).seconds() * 1e6, percentile(0.999).seconds() * 1e6, max_.seconds() * 1e6);
+  }
 
  private:
   static constexpr std::size_t kBuckets = 20'001;

@@ -1,14 +1,12 @@
 #include "module_fw/targets/linux/shell.h"
 
 #include <fmt/format.h>
-#include <sched.h>
-#include <sys/mman.h>
 
-#include <cerrno>
-#include <cstring>
-#include <ctime>
+#include <algorithm>
+#include <limits>
 
 #include "can_protocol/messages.h"
+#include "common/realtime/realtime.h"
 #include "module_fw/targets/linux/heap_watch.h"
 #include "module_fw/targets/linux/joint_bytes.h"
 
@@ -21,9 +19,12 @@ constexpr Duration kWaitSlice = milliseconds(200);      // a signal is noticed w
 constexpr Duration kStopTime = milliseconds(3000);      // for a controlled stop and the brake, then exit anyway
 // Free-running, samples come over a general-purpose scheduler: an ordinary delay of it is not a broken sensor.
 constexpr Duration kSchedulerDelay = milliseconds(40);
-constexpr Duration kSampleGrace = milliseconds(5);    // how long a late tick waits for the sample that is late with it
+// ... and neither is a supervisor that was late: the last set point is continued for so long before the joint stops.
+constexpr Duration kSetPointDelay = milliseconds(24);
+constexpr Duration kPlantGrace = milliseconds(5);     // how long a tick waits for a sample that is late
 constexpr Duration kClockCheck = milliseconds(1000);  // the system's time may be stepped: look again
 constexpr Duration kPlantForgotten = milliseconds(200);
+constexpr std::int64_t kTimedTicks = 8;  // reading the clock is dear in some virtual machines
 
 struct CobIds {
   StaticVector<can::CanFilter, can::CanSocket::kMaxFilters> filters;
@@ -52,24 +53,6 @@ CobIds cob_ids(const can::ObjectDictionary& od) noexcept {
     if ((rpdo.cob_id & kNotValid) == 0) ids.add(rpdo.cob_id);
   }
   return ids;
-}
-
-void sleep_until(Time t) noexcept {
-  const timespec at{t.ns / 1'000'000'000, t.ns % 1'000'000'000};
-  ::clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &at, nullptr);
-}
-
-/// What free-running takes for granted on a microcontroller and has to ask for here. Empty: granted.
-std::string ask_for_real_time() {
-  std::string refused;
-  if (::mlockall(MCL_CURRENT | MCL_FUTURE) != 0)
-    refused = fmt::format("memory is not locked ({})", std::strerror(errno));
-  sched_param parameters{};
-  parameters.sched_priority = 60;
-  if (::sched_setscheduler(0, SCHED_FIFO, &parameters) != 0) {
-    refused = fmt::format("{}{}no real-time priority ({})", refused, refused.empty() ? "" : ", ", std::strerror(errno));
-  }
-  return refused;
 }
 
 can::CanSocket open_bus(const ModuleConfig& config, const ShellOptions& options) {
@@ -117,13 +100,18 @@ void Shell::run(const volatile int& stop) {
     if (options_.verbose) say(pace == Pace::lockstep ? "in lockstep with the plant" : "free-running");
   }
   if (pace == Pace::realtime) {
-    if (plant_) {
+    const std::int64_t periods = (kSetPointDelay + config_.knot_period - Duration{1}) / config_.knot_period;
+    config_.watchdog.missing_knots = static_cast<std::uint8_t>(
+        std::clamp<std::int64_t>(periods, config_.watchdog.missing_knots, std::numeric_limits<std::uint8_t>::max()));
+    timer_of_plant_ = first_.has_value();
+    if (plant_ && !timer_of_plant_) {
       config_.sensing.encoder_timeout += kSchedulerDelay;
       config_.sensing.torque_timeout += kSchedulerDelay;
       config_.sensing.current_timeout += kSchedulerDelay;
       config_.watchdog.loop += kSchedulerDelay;
     }
-    const std::string refused = ask_for_real_time();
+    // What is taken for granted on a microcontroller has to be asked for here.
+    const std::string refused = realtime::ask(realtime::kModulePriority);
     if (!refused.empty())
       say(fmt::format("{}: ticks will come later at times; allow it with CAP_SYS_NICE and CAP_IPC_LOCK", refused));
   }
@@ -218,8 +206,40 @@ Shell::Next Shell::run_lockstep(const volatile int& stop) {
   }
 }
 
+// The next instant to tick at, and the sample for it, if one came.
+std::optional<plant_io::OwnTick> Shell::wait_for_instant(Time& scheduled) noexcept {
+  std::optional<plant_io::OwnTick> at;
+  while (timer_of_plant_ && plant_->joined()) {
+    at = plant_->wait(kPlantGrace);
+    // Once more: when this machine stood still both were late, and it is the plant's turn.
+    if (!at) at = plant_->wait(kPlantGrace);
+    if (!at || at->lockstep) break;
+    if (at->now <= scheduled) {  // that instant has passed on the own clock
+      plant_->answer(*at, answer());
+      continue;
+    }
+    overruns_ += (at->now - scheduled) / config_.tick - 1;
+    scheduled = at->now;
+    if (ticks_ % kTimedTicks == 0) lateness_.add(can::monotonic_now() - scheduled);
+    if (at->ending) plant_->forget();
+    return at;
+  }
+  scheduled += config_.tick;
+  realtime::sleep_until(scheduled);
+  const Duration late = can::monotonic_now() - scheduled;
+  lateness_.add(late);
+  // Without its plant the joint makes up for the time it has waited; on a clock of its own it leaves out what it
+  // missed.
+  const std::int64_t missed = timer_of_plant_ ? 0 : late / config_.tick;
+  overruns_ += missed;
+  scheduled += config_.tick * missed;
+  if (plant_ && !at) at = missed > 0 && plant_->joined() ? plant_->wait(kPlantGrace) : plant_->poll();
+  if (!at) ++without_sample_;
+  return at;
+}
+
 Shell::Next Shell::run_on_clock(const volatile int& stop) {
-  // Own clock: CLOCK_MONOTONIC, or what simulated time became when the plant went away.
+  // CLOCK_MONOTONIC, or what simulated time became when the plant went away.
   const Time start = can::monotonic_now();
   const Duration shift = now_.ns != 0 ? now_ - start : Duration{};
   Time scheduled = start;
@@ -228,32 +248,20 @@ Shell::Next Shell::run_on_clock(const volatile int& stop) {
   StaticVector<can::ReceivedFrame, plant_io::TickInbox::kCapacity> shifted;
   can_.use_kernel_times(false);
   while (true) {
-    scheduled += config_.tick;
-    sleep_until(scheduled);
-    const Time woke = can::monotonic_now();
-    lateness_.add(woke - scheduled);
-    const std::int64_t missed = (woke - scheduled) / config_.tick;
-    overruns_ += missed;
-    scheduled += config_.tick * missed;
-
-    std::optional<plant_io::OwnTick> at;
-    if (plant_) {
-      plant_->advance_clock(now_);
-      at = missed > 0 && plant_->joined() ? plant_->wait(kSampleGrace) : plant_->poll();
-      if (at && at->lockstep && !stopping_ && ticks_ > 0) {
-        // The plant is back, in lockstep: its time is ours again.
-        first_ = at;
-        inbox_.clear();
-        say("the plant is back");
-        return Next::lockstep;
-      }
-      if (at) sampled = woke;
-      if (!at) ++without_sample_;
-      if (!at && woke - sampled > kPlantForgotten) plant_->forget();
+    if (plant_) plant_->advance_clock(now_);
+    const std::optional<plant_io::OwnTick> at = wait_for_instant(scheduled);
+    if (at && at->lockstep && !stopping_ && ticks_ > 0) {
+      // The plant is back, in lockstep: its time is ours again.
+      first_ = at;
+      inbox_.clear();
+      say("the plant is back");
+      return Next::lockstep;
     }
-    if (woke - clock_checked > kClockCheck) {
+    if (at) sampled = scheduled;
+    if (plant_ && !at && scheduled - sampled > kPlantForgotten) plant_->forget();
+    if (scheduled - clock_checked > kClockCheck) {
       can_.measure_clock_offset();
-      clock_checked = woke;
+      clock_checked = scheduled;
     }
     inbox_.fill(can_, scheduled);
     std::span<const can::ReceivedFrame> frames = inbox_.take_as_received(scheduled);
@@ -274,11 +282,8 @@ void Shell::print_statistics() const {
   say(fmt::format("{} ticks; frames received {}, sent {}, dropped when sending {}, lost when receiving {}", ticks_,
                   bus.received, bus.sent, bus.send_dropped, bus.receive_overflow));
   if (lateness_.count() > 0) {
-    say(fmt::format(
-        "lateness of {} ticks on the clock: p50 {:.0f} us, p99 {:.0f} us, max {:.0f} us; {} left out; {} "
-        "without a new sample",
-        lateness_.count(), lateness_.percentile(0.5).seconds() * 1e6, lateness_.percentile(0.99).seconds() * 1e6,
-        lateness_.max().seconds() * 1e6, overruns_, without_sample_));
+    say(fmt::format("lateness of {} of {} ticks by the wall clock: {}; {} left out; {} without a new sample",
+                    lateness_.count(), ticks_, lateness_.in_words(), overruns_, without_sample_));
   }
   say(fmt::format("allocations after start: {}", forbidden_allocations()));
 }

@@ -41,8 +41,10 @@ class Shell {
   enum class Next : std::uint8_t { done, lockstep, clock };
   /// From `first_` on, until the joint has stopped or the plant is lost.
   [[nodiscard]] Next run_lockstep(const volatile int& stop);
-  /// Until the joint has stopped, or a plant in lockstep asks (`first_`).
+  /// Behind a free-running plant its ticks are the timer; else, and while it is silent, the own clock is. Until the
+  /// joint has stopped, or a plant in lockstep asks (`first_`).
   [[nodiscard]] Next run_on_clock(const volatile int& stop);
+  [[nodiscard]] std::optional<plant_io::OwnTick> wait_for_instant(Time& scheduled) noexcept;
   /// One tick of the core; its frames are sent. False: the joint has been asked to stop and is safe.
   bool tick(Time now, const RawSensors& sensors, std::span<const can::ReceivedFrame> received, bool stopping) noexcept;
   void follow_cob_ids() noexcept;
@@ -63,9 +65,10 @@ class Shell {
   Time now_;
   Time stopping_since_;
   bool stopping_ = false;
+  bool timer_of_plant_ = false;
   std::int64_t ticks_ = 0;
   std::int64_t overruns_ = 0;        ///< ticks left out because the loop was late
-  std::int64_t without_sample_ = 0;  ///< ticks on the own clock for which no new sample had come
+  std::int64_t without_sample_ = 0;  ///< ticks by the wall clock for which no new sample had come
   std::uint64_t cob_ids_ = 0;        ///< fingerprint of those the kernel filters for
   Time blend_seen_;
   bool wholly_passive_ = false;

@@ -202,6 +202,17 @@ TEST(TickInbox, RefusesWhatItCannotHold) {
   EXPECT_TRUE(inbox.push(arrived(0x100, 2)));
 }
 
+TEST(PlantFrames, AnInstantIsTheNearestOneItsBitsCanMean) {
+  constexpr std::int64_t kWrap = std::int64_t{1} << 48;
+  for (const std::int64_t ns :
+       {std::int64_t{0}, std::int64_t{5}, kWrap - 1, kWrap, kWrap + 7, 9 * kWrap - 3, 9 * kWrap}) {
+    for (const std::int64_t away : {std::int64_t{0}, std::int64_t{1'000'000}, kWrap / 2 - 1, -kWrap / 2}) {
+      if (ns + away < 0) continue;
+      EXPECT_EQ(whole_instant(Time{ns % kWrap}, Time{ns + away}).ns, ns) << ns << " seen from " << away;
+    }
+  }
+}
+
 TEST(TickInbox, FreeRunningKeepsOrderAndTimes) {
   TickInbox inbox;
   ASSERT_TRUE(inbox.push(arrived(0x703, 5)));
