@@ -24,7 +24,6 @@ constexpr std::uint8_t kInquireNodeId = 0x5E;
 constexpr std::uint8_t kDone = 0;
 constexpr std::uint8_t kNodeIdOutOfRange = 1;
 constexpr std::uint8_t kBitRateNotSupported = 1;
-constexpr std::uint8_t kStoringNotSupported = 1;
 
 // Table 0 of bit timings, bit/s.
 constexpr std::array<std::uint32_t, 9> kBitRates{1'000'000, 800'000, 500'000, 250'000, 125'000,
@@ -52,7 +51,7 @@ void LssSlave::reset(std::uint8_t active) noexcept {
   selected_ = identified_ = scanned_ = 0;
 }
 
-std::optional<Frame> LssSlave::handle(const Frame& f, const LssIdentity& identity) noexcept {
+std::optional<Frame> LssSlave::handle(const Frame& f, const LssIdentity& identity, LssStore& store) noexcept {
   if (f.length != 8) return std::nullopt;
   const std::uint8_t command = f.data[0];
   const auto number = get<std::uint32_t>(f.data.data() + 1);
@@ -108,8 +107,7 @@ std::optional<Frame> LssSlave::handle(const Frame& f, const LssIdentity& identit
     const bool same = f.data[1] == 0 && f.data[2] < kBitRates.size() && kBitRates[f.data[2]] == bit_rate_;
     return answer(command, same ? kDone : kBitRateNotSupported);
   }
-  // Kept until power-off, over every NMT reset; there is no memory that would outlast it.
-  if (command == kStore) return answer(command, kStoringNotSupported);
+  if (command == kStore) return answer(command, static_cast<std::uint8_t>(store.store_node_id(node_id_)));
   if (command >= kInquire && command < kInquire + 4) {
     Frame reply = answer(command);
     put<std::uint32_t>(reply.data.data() + 1, identity[static_cast<std::size_t>(command - kInquire)]);

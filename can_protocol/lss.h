@@ -18,6 +18,18 @@ inline constexpr std::uint8_t kUnconfiguredNodeId = 0xFF;
 /// The identity object: vendor, product code, revision, serial number. Selects one module among all.
 using LssIdentity = std::array<std::uint32_t, 4>;
 
+/// What became of "store configuration" (CiA 305): the error code of its answer.
+enum class LssStored : std::uint8_t { done = 0, not_supported = 1, memory_failed = 2 };
+
+/// Where a node id goes that shall outlast power-off.
+class LssStore {
+ public:
+  virtual LssStored store_node_id(std::uint8_t /*node_id*/) noexcept { return LssStored::not_supported; }
+
+ protected:
+  ~LssStore() = default;
+};
+
 class LssSlave {
  public:
   enum class Mode : std::uint8_t { waiting, configuration };
@@ -25,8 +37,10 @@ class LssSlave {
   LssSlave(std::uint8_t node_id, std::uint32_t bit_rate) noexcept : node_id_(node_id), bit_rate_(bit_rate) {}
 
   /// Answers one request, or does as it says. Malformed, unknown and others' requests have no answer and no effect.
-  [[nodiscard]] std::optional<Frame> handle(const Frame& f, const LssIdentity& identity) noexcept;
+  [[nodiscard]] std::optional<Frame> handle(const Frame& f, const LssIdentity& identity, LssStore& store) noexcept;
 
+  /// A node id of its own that is known before the bus is: what was stored.
+  void begin_with(std::uint8_t node_id) noexcept { node_id_ = active_ = node_id; }
   /// As configured last; comes into force at the next NMT reset. 1-127, or kUnconfiguredNodeId.
   [[nodiscard]] std::uint8_t node_id() const noexcept { return node_id_; }
   [[nodiscard]] Mode mode() const noexcept { return mode_; }

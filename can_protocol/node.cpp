@@ -102,6 +102,12 @@ void Node::change_node_id(std::uint8_t to) noexcept {
     }
   }
   config_.node_id = to;
+  sort_pdos();
+}
+
+void Node::begin_with(std::uint8_t node_id) noexcept {
+  change_node_id(node_id);
+  lss_.begin_with(node_id);
 }
 
 // ---- frames in ----
@@ -127,8 +133,7 @@ void Node::handle(const ReceivedFrame& received, TransmitQueue& tx) noexcept {
   }
   if (f.id > kHeartbeatCobId) return handle_heartbeat(f, now);
   for (std::size_t i = 0; i < kRpdoCount; ++i) {
-    const std::uint32_t cob_id = od_.rpdo_communication[i].cob_id;
-    if (is_valid(cob_id) && f.id == (cob_id & kElevenBit)) handle_rpdo(i, f, now);
+    if (f.id == rpdo_id_[i]) handle_rpdo(i, f, now);
   }
 }
 
@@ -137,7 +142,7 @@ void Node::handle_lss(const Frame& f, Time now, TransmitQueue& tx) noexcept {
   if (state_ == NmtState::operational) return;  // nobody is renamed while it moves
   const LssIdentity identity{od_.identity_vendor_id, od_.identity_product_code, od_.identity_revision,
                              od_.identity_serial_number};
-  if (const auto answer = lss_.handle(f, identity)) send(*answer, tx);
+  if (const auto answer = lss_.handle(f, identity, application_)) send(*answer, tx);
   // A node that had no id comes up with its first one as soon as it is let go.
   if (is_unconfigured() && lss_.node_id() != kUnconfiguredNodeId && lss_.mode() == LssSlave::Mode::waiting) {
     reset(ResetKind::communication, now, tx);
@@ -176,16 +181,17 @@ void Node::handle_sync(const Frame& f, Time now, TransmitQueue& tx) noexcept {
   if (!errors_.empty()) clear(Emergency::sync_length, now);
   ++od_.count_sync;
   if (state_ == NmtState::operational) {
-    for (std::size_t i = 0; i < kRpdoCount; ++i) {
-      if (rpdo_[i].pending) deliver(i, now);
+    for (std::uint32_t left = pending_rpdos_; left != 0; left &= left - 1U) {
+      deliver(static_cast<std::size_t>(std::countr_zero(left)), now);
     }
+    pending_rpdos_ = 0;
   }
   application_.sync(now, counter);
   if (state_ != NmtState::operational) return;
-  for (std::size_t i = 0; i < kTpdoCount; ++i) {
+  for (std::uint32_t left = synchronous_tpdos_; left != 0; left &= left - 1U) {
+    const auto i = static_cast<std::size_t>(std::countr_zero(left));
     const PdoCommunication& pdo = od_.tpdo_communication[i];
     Tpdo& t = tpdo_[i];
-    if (!is_valid(pdo.cob_id) || !is_synchronous(pdo.transmission_type)) continue;
     if (t.waits_for_start && counter) {
       if (*counter != pdo.sync_start_value) continue;
     }
@@ -268,15 +274,14 @@ void Node::handle_rpdo(std::size_t i, const Frame& f, Time now) noexcept {
   }
 
   if (is_synchronous(od_.rpdo_communication[i].transmission_type)) {
-    r.pending = true;
+    pending_rpdos_ |= 1U << i;
   } else {
     deliver(i, now);
   }
 }
 
 void Node::deliver(std::size_t i, Time now) noexcept {
-  Rpdo& r = rpdo_[i];
-  r.pending = false;
+  const Rpdo& r = rpdo_[i];
   const Layout& layout = rpdo_layout_[i];
   auto* const objects = reinterpret_cast<unsigned char*>(&od_);
   std::size_t at = 0;
@@ -600,18 +605,20 @@ Node::Layout Node::layout_of(const PdoMapping& map, bool receive) const noexcept
 void Node::lay_out_pdos() noexcept {
   for (std::size_t i = 0; i < kRpdoCount; ++i) rpdo_layout_[i] = layout_of(od_.rpdo_mapping[i], true);
   for (std::size_t i = 0; i < kTpdoCount; ++i) tpdo_layout_[i] = layout_of(od_.tpdo_mapping[i], false);
-  find_timed_pdos();
+  sort_pdos();
 }
 
-void Node::find_timed_pdos() noexcept {
-  timed_rpdos_ = timed_tpdos_ = 0;
+void Node::sort_pdos() noexcept {
+  timed_rpdos_ = timed_tpdos_ = synchronous_tpdos_ = 0;
   for (std::size_t i = 0; i < kRpdoCount; ++i) {
     const PdoCommunication& pdo = od_.rpdo_communication[i];
+    rpdo_id_[i] = is_valid(pdo.cob_id) ? pdo.cob_id & kElevenBit : kNoId;
     if (is_valid(pdo.cob_id) && pdo.event_timer_ms != 0) timed_rpdos_ |= 1U << i;
   }
   for (std::size_t i = 0; i < kTpdoCount; ++i) {
     const PdoCommunication& pdo = od_.tpdo_communication[i];
-    if (is_valid(pdo.cob_id) && !is_synchronous(pdo.transmission_type)) timed_tpdos_ |= 1U << i;
+    if (!is_valid(pdo.cob_id)) continue;
+    (is_synchronous(pdo.transmission_type) ? synchronous_tpdos_ : timed_tpdos_) |= 1U << i;
   }
 }
 
@@ -623,13 +630,14 @@ void Node::communication_written(const Entry& entry, Time now) noexcept {
       [[fallthrough]];
     case 0x1400:
       rpdo_[i] = {};
-      return find_timed_pdos();
+      pending_rpdos_ &= ~(1U << i);
+      return sort_pdos();
     case 0x1A00:
       tpdo_layout_[i] = layout_of(od_.tpdo_mapping[i], false);
       [[fallthrough]];
     case 0x1800:
       restart_tpdo(i);
-      return find_timed_pdos();
+      return sort_pdos();
     default:
       break;
   }
@@ -715,10 +723,8 @@ void Node::enter(NmtState state, Time now) noexcept {
   state_ = state;
   // Nothing that waited in another state may have an effect in this one.
   if (state != NmtState::pre_operational && state != NmtState::operational) sdo_ = {};
-  for (Rpdo& r : rpdo_) {
-    r.pending = false;
-    r.watched = false;
-  }
+  pending_rpdos_ = 0;
+  for (Rpdo& r : rpdo_) r.watched = false;
   if (state == NmtState::operational) {
     for (std::size_t i = 0; i < kTpdoCount; ++i) restart_tpdo(i);
   }
@@ -729,6 +735,7 @@ void Node::reset(ResetKind kind, Time now, TransmitQueue& tx) noexcept {
   enter(NmtState::initialising, now);
   sdo_ = {};
   rpdo_ = {};
+  pending_rpdos_ = 0;
   watched_ = {};
   copy_range(power_on_, od_, 0x1000, kind == ResetKind::node ? 0xFFFF : 0x1FFF, kWritable);
   lay_out_pdos();
@@ -843,7 +850,7 @@ void Node::tick_watched(Time now) noexcept {
 void Node::bus_off(Time now) noexcept {
   wake();
   ++od_.count_bus_off;
-  for (Rpdo& r : rpdo_) r.pending = false;
+  pending_rpdos_ = 0;
   error_behaviour(now);
 }
 

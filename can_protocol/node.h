@@ -24,7 +24,7 @@ struct NodeConfig {
 };
 
 /// What a node tells its application, and asks of it. Every call comes from inside Node::handle or Node::tick.
-class NodeApplication {
+class NodeApplication : public LssStore {
  public:
   /// A last word before an SDO write that the schema accepts (length, limits) has effect; anything but none refuses it.
   virtual Abort may_write(ObjectId, const Value&) noexcept { return Abort::none; }
@@ -83,6 +83,11 @@ class Node {
   /// Sends TPDO `number` (1-3, event-driven types) with the next tick, inhibit time permitting.
   void request_tpdo(std::uint8_t number) noexcept;
 
+  /// Before the first tick: the node id that was stored, in place of the configured one.
+  void begin_with(std::uint8_t node_id) noexcept;
+  /// The parameters that a reset goes back to, for them to be stored with another node id.
+  [[nodiscard]] ObjectDictionary& power_on() noexcept { return power_on_; }
+
   [[nodiscard]] NmtState state() const noexcept { return state_; }
   /// The objects as configured, before what was stored.
   [[nodiscard]] const ObjectDictionary& factory() const noexcept { return factory_; }
@@ -98,7 +103,6 @@ class Node {
   struct Rpdo {
     std::array<std::uint8_t, kMaxPdoBytes> data{};
     Time received{};
-    bool pending = false;  ///< waits for SYNC
     bool watched = false;  ///< one has come: the deadline runs
     bool late = false;
     bool too_short = false;  ///< the last one was
@@ -190,8 +194,8 @@ class Node {
   [[nodiscard]] Abort find(std::uint16_t index, std::uint8_t sub, const Entry*& out) const noexcept;
   [[nodiscard]] Layout layout_of(const PdoMapping& map, bool receive) const noexcept;
   void lay_out_pdos() noexcept;
-  /// Which PDOs have something to do at a tick: those with a deadline, those that are not sent by SYNC.
-  void find_timed_pdos() noexcept;
+  /// Which PDOs have something to do when: those with a deadline, those that SYNC sends and those that it does not.
+  void sort_pdos() noexcept;
   void communication_written(const Entry& entry, Time now) noexcept;
   void after_write(ObjectId id, WriteSource source, Time now) noexcept;
 
@@ -222,8 +226,12 @@ class Node {
   Time next_heartbeat_{};
   std::array<Layout, kRpdoCount> rpdo_layout_{};
   std::array<Layout, kTpdoCount> tpdo_layout_{};
-  std::uint32_t timed_rpdos_ = 0;  ///< bit i: RPDO i
+  static constexpr std::uint32_t kNoId = 0xFFFF'FFFFU;
+  std::array<std::uint32_t, kRpdoCount> rpdo_id_{};  ///< kNoId: not valid
+  std::uint32_t pending_rpdos_ = 0;                  ///< bit i: RPDO i waits for SYNC
+  std::uint32_t timed_rpdos_ = 0;
   std::uint32_t timed_tpdos_ = 0;
+  std::uint32_t synchronous_tpdos_ = 0;
   std::array<Rpdo, kRpdoCount> rpdo_{};
   std::array<Tpdo, kTpdoCount> tpdo_{};
   std::array<Watched, kMaxWatched> watched_{};

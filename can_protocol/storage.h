@@ -57,12 +57,12 @@ inline constexpr std::size_t kSlotBytes = [] {
   return n;
 }();
 
-/// Stored objects that are not part of the plan: a name, and what calibrations find. Communication objects that a
+/// Stored objects that are not part of the plan: a name, a node id, and what calibrations find. Communication objects that a
 /// master sets at each start do not count either.
 constexpr bool counts_for_configuration(const Entry& e) noexcept {
   if ((e.flags & kStored) == 0) return false;
   if (e.index < 0x1400) return false;
-  return e.index != 0x2004 && e.index != 0x2180;
+  return e.index != 0x2004 && e.index != 0x2180 && e.index != 0x2191;
 }
 
 /// `planned`, the hash of a configuration, once more with every stored object that differs from `configured`.

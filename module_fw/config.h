@@ -19,6 +19,7 @@ struct SensingConfig {
   float velocity_bandwidth_rad_s = 2500.0F;
   bool torque_sensor = true;
   float torque_full_scale_nm = 100.0F;         ///< at ADC 32767; sign: torque the transmission gives the link
+  float torque_bandwidth_rad_s = 0.0F;         ///< of a sensor of first order; 0: as good as at once
   float current_full_scale_a = 40.0F;          ///< at ADC 32767 and at duty 32767
   Duration encoder_timeout = milliseconds(3);  ///< a missing fresh bit makes the value invalid after this
   Duration torque_timeout = milliseconds(5);
@@ -90,8 +91,8 @@ constexpr float static_compensation_nm(float compensation_nm, const FrictionConf
 
 /// How the reference is led when no knots lead it.
 struct ReferenceConfig {
-  float stop_deceleration_rad_s2 = 20.0F;        ///< controlled stop, halt, return from passive
-  float quick_stop_deceleration_rad_s2 = 40.0F;  ///< quick stop, fault reaction
+  float stop_deceleration_rad_s2 = 20.0F;        ///< slow-down ramp (6084h): controlled stop, return from passive
+  float quick_stop_deceleration_rad_s2 = 40.0F;  ///< quick-stop ramp (6085h)
   float settle_rate_1_s = 100.0F;                ///< the last bit of a stop is exponential with this rate
   float resync_window_rad = 0.01F;               ///< a knot this near to the held reference takes over
   float resync_velocity_rad_s = 0.1F;            ///< ... and this near in velocity

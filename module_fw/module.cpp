@@ -56,7 +56,7 @@ bool usable(const ModuleConfig& c) noexcept {
   ok = ok && c.sensing.encoder_counts_per_turn > 0 && positive(c.drive.gear_ratio) &&
        positive(c.sensing.velocity_bandwidth_rad_s) && positive(c.sensing.current_full_scale_a) &&
        (!c.sensing.torque_sensor || positive(c.sensing.torque_full_scale_nm)) &&
-       positive(c.sensing.max_plausible_velocity_rad_s);
+       not_negative(c.sensing.torque_bandwidth_rad_s) && positive(c.sensing.max_plausible_velocity_rad_s);
   ok = ok && positive(c.drive.torque_constant_positive_nm_a) && positive(c.drive.torque_constant_negative_nm_a) &&
        positive(c.drive.continuous_current_a) && c.drive.peak_current_a >= c.drive.continuous_current_a &&
        is_finite(c.drive.peak_current_a) && positive(c.drive.thermal_time_constant_s) &&
@@ -226,6 +226,7 @@ void Module::fill_objects() noexcept {
   od_.following_error_timeout_ms = static_cast<std::uint16_t>(to_ms(c.limits.following_error_time));
   od_.position_limit_min_urad = micro_rad(c.limits.lower_rad);
   od_.position_limit_max_urad = micro_rad(c.limits.upper_rad);
+  od_.profile_deceleration_mrad_s2 = static_cast<std::uint32_t>(c.reference.stop_deceleration_rad_s2 * 1e3F);
   od_.quick_stop_deceleration_mrad_s2 = static_cast<std::uint32_t>(c.reference.quick_stop_deceleration_rad_s2 * 1e3F);
   od_.motor_rated_current_ma = static_cast<std::uint32_t>(c.drive.continuous_current_a * 1e3F + 0.5F);
   od_.motor_rated_torque_mnm = static_cast<std::uint32_t>(c.drive.rated_torque_nm * 1e3F + 0.5F);
@@ -266,6 +267,7 @@ void Module::apply_parameters() noexcept {
   c.drive.peak_current_a = od_.limit_current_a;
   c.drive.max_winding_temperature_c = od_.limit_winding_temperature_degc;
   c.watchdog.missing_knots = od_.watchdog_knot_periods;
+  c.reference.stop_deceleration_rad_s2 = static_cast<float>(od_.profile_deceleration_mrad_s2) * 1e-3F;
   c.reference.quick_stop_deceleration_rad_s2 = static_cast<float>(od_.quick_stop_deceleration_mrad_s2) * 1e-3F;
   c.homing.switch_position_rad = static_cast<float>(od_.homing_switch_position_urad) * 1e-6F;
   c.homing.fast_rad_s = static_cast<float>(od_.homing_speed_switch_urad_s) * 1e-6F;
@@ -299,6 +301,8 @@ void Module::load_parameters(can::StoragePort& port) noexcept {
   store_.load(port, od_, node_.config().node_id);
   od_.store_all = od_.restore_all = 1;  // on command
   stand_if(Fault::stored_parameters, store_.state() == can::StorageState::refused);
+  const std::uint8_t id = od_.stored_node_id;
+  if ((id >= 1 && id <= can::kMaxNodeId) || id == can::kUnconfiguredNodeId) node_.begin_with(id);
   od_.configuration_hash = can::hash_with_changes(config_.configuration_hash, node_.factory(), od_);
   parameters_changed_ = true;
   apply_live_parameters();
@@ -322,6 +326,16 @@ can::Abort Module::store(Time) noexcept {
 }
 
 can::Abort Module::restore_defaults(Time) noexcept { return begin_write(nullptr); }
+
+// CiA 305: the node id alone. What else was written and not stored stays so.
+can::LssStored Module::store_node_id(std::uint8_t node_id) noexcept {
+  const std::uint8_t before = od_.stored_node_id;
+  od_.stored_node_id = node_.power_on().stored_node_id = node_id;
+  const can::Abort refused = begin_write(&node_.power_on());
+  if (refused == can::Abort::none) return can::LssStored::done;
+  od_.stored_node_id = node_.power_on().stored_node_id = before;
+  return refused == can::Abort::cannot_store ? can::LssStored::not_supported : can::LssStored::memory_failed;
+}
 
 void Module::publish_storage() noexcept {
   stand_if(Fault::storage, store_.lost_something());
@@ -711,7 +725,10 @@ void Module::forget_faults() noexcept {
 
 // Each control word has its turn, however close they came; the last one stands.
 void Module::decide_state(Time now) noexcept {
-  if (controlwords_.empty()) return obey(od_.controlword, now);
+  if (controlwords_.empty()) [[likely]] {
+    if (!(status_.operational && machine_.settled(od_.controlword, faults_.disables()))) obey(od_.controlword, now);
+    return;
+  }
   for (const std::uint16_t word : controlwords_) obey(word, now);
   controlwords_.clear();
 }
@@ -722,7 +739,6 @@ void Module::obey(std::uint16_t controlword, Time now) noexcept {
   // Motion needs NMT OPERATIONAL; without it an enabled joint is disabled in order.
   if (!status_.operational) in.controlword = static_cast<std::uint16_t>(in.controlword & ~unsigned{kControlEnable});
   in.fault = faults_.disables();
-  if (machine_.settled(in)) return;
   in.ready = sensing_.complete();
   const DriveState before = machine_.state();
   in.stopped =
@@ -731,7 +747,7 @@ void Module::obey(std::uint16_t controlword, Time now) noexcept {
   const DriveState after = machine_.update(in);
   if (before != after) {
     if (after == DriveState::operation_enabled && before == DriveState::switched_on) enable();
-    if (before == DriveState::operation_enabled) selection_.disarm();
+    leave_operation(before, after);
     if (before == DriveState::fault && after == DriveState::switch_on_disabled) {
       for (std::uint64_t left = raised_ & ~faults_.present(); left != 0; left &= left - 1U) {
         node_.clear(can::row_of(static_cast<Fault>(std::countr_zero(left))).code, now);
@@ -747,6 +763,34 @@ void Module::obey(std::uint16_t controlword, Time now) noexcept {
     provoked_ = 0;
     if (parameters_changed_) apply_parameters();
   }
+}
+
+void Module::leave_operation(DriveState from, DriveState to) noexcept {
+  if (from == DriveState::operation_enabled) selection_.disarm();
+  if (from != DriveState::operation_enabled && from != DriveState::quick_stop_active) return;
+  bool at_once = false;
+  switch (to) {
+    case DriveState::switched_on:
+      at_once = od_.disable_operation_option_code == 0;
+      break;
+    case DriveState::ready_to_switch_on:
+      at_once = od_.shutdown_option_code == 0;
+      break;
+    case DriveState::switch_on_disabled:  // disable voltage, or a quick stop, which has ended or has no ramp
+      at_once = true;
+      break;
+    default:
+      break;
+  }
+  if (!at_once || reference_.at_rest()) return;
+  // No ramp: the joint shall rest where it is led now, and the brake does not wait.
+  if (passive() || mode_ == Mode::cyclic_torque) go_active();
+  reference_.start_at(reference_.state().position_rad, 0.0F, config_.reference.stop_deceleration_rad_s2);
+}
+
+float Module::ramp_rad_s2(std::int16_t option) const noexcept {
+  const bool quick = option == 2 || option == 6;
+  return quick ? config_.reference.quick_stop_deceleration_rad_s2 : config_.reference.stop_deceleration_rad_s2;
 }
 
 void Module::enable() noexcept {
@@ -797,8 +841,7 @@ void Module::stop_at_limit(LimitCode why) noexcept {
   limit_stop_ = true;
   hold_reason_ = why;
   // A halt on the way slows down harder already.
-  stop_and_hold(authority_ == Authority::user_stop ? config_.reference.quick_stop_deceleration_rad_s2
-                                                   : config_.reference.stop_deceleration_rad_s2);
+  stop_and_hold(authority_ == Authority::user_stop ? user_stop_rad_s2_ : config_.reference.stop_deceleration_rad_s2);
 }
 
 void Module::go_passive(Time now) noexcept {
@@ -874,19 +917,27 @@ void Module::lead(Time now) noexcept {
   authority_ = arbitrate();
   switch (authority_) {
     case Authority::fault_reaction:
-      if (authority_ != before) stop_and_hold(config_.reference.quick_stop_deceleration_rad_s2);
+      if (authority_ != before) {
+        const bool fault = machine_.state() == DriveState::fault_reaction_active;
+        stop_and_hold(ramp_rad_s2(fault ? od_.fault_reaction_option_code : std::int16_t{1}));
+      }
       break;
     case Authority::limit:
       // A switch that is armed comes into force though the set points have stopped: it is the safe side before a blow.
       if (hold_reason_ == LimitCode::knots_lost) carry_out_selection(now);
       break;
-    case Authority::user_stop:
+    case Authority::user_stop: {
       selection_.disarm();
-      if (authority_ != before) {
+      const bool quick_stop = machine_.state() == DriveState::quick_stop_active;
+      const float ramp = ramp_rad_s2(quick_stop ? od_.quick_stop_option_code : od_.halt_option_code);
+      // A quick stop may follow a halt that slows down more gently.
+      if (authority_ != before || ramp > user_stop_rad_s2_) {
         hold_reason_ = LimitCode::halt;
-        stop_and_hold(config_.reference.quick_stop_deceleration_rad_s2);
+        stop_and_hold(ramp);
       }
+      user_stop_rad_s2_ = ramp;
       break;
+    }
     case Authority::calibration:
       selection_.disarm();
       if (mode_ == Mode::identification) {
@@ -1146,7 +1197,7 @@ void Module::estimate_load(Time now) noexcept {
   const bool sensed = sensing_.joint_torque_nm().valid;
   float load_nm = load_torque_nm_;  // known to neither: the last word stands
   if (sensed) {
-    load_nm = sensing_.joint_torque_nm().value;
+    load_nm = sensing_.carried_torque_nm();
     const float departure = config_.control.carried_departure_nm;
     if (fresh) load_nm = limit(load_nm, model_nm - departure, model_nm + departure);
   } else if (fresh) {
@@ -1194,13 +1245,11 @@ void Module::guard_passivity() noexcept {
     return tau;
   }
   if (selector_.law() == Law::off) return selector_.step(0.0F, 0.0F);
-  if (reaction_ == Reaction::damp) {
-    const float carried = sensing_.joint_torque_nm().valid ? load_torque_nm_ : 0.0F;
-    return selector_.step(carried - damping_nm_s_rad_ * sensing_.velocity_rad_s(), 0.0F);
-  }
-  if (reaction_ == Reaction::brake) {
+  if (reaction_ >= Reaction::damp) [[unlikely]] {
+    const float carried = sensing_.joint_torque_nm().valid || model_torque_fresh(now) ? load_torque_nm_ : 0.0F;
     // Without a position the best that can be done until the brake holds: carry what the joint carries, add nothing.
-    return selector_.step(sensing_.joint_torque_nm().valid ? load_torque_nm_ : 0.0F, 0.0F);
+    const float damping = reaction_ >= Reaction::brake ? 0.0F : damping_nm_s_rad_;
+    return selector_.step(carried - damping * sensing_.velocity_rad_s(), 0.0F);
   }
   if (calibration_.wish().push) return selector_.step(calibration_.wish().push_nm, 0.0F);
   if (torque_mode()) {

@@ -86,6 +86,7 @@ class Module final : private can::NodeApplication {
   void heartbeat_seen(std::uint8_t node_id, can::NmtState state, Time at) noexcept override;
   can::Abort store(Time at) noexcept override;
   can::Abort restore_defaults(Time at) noexcept override;
+  can::LssStored store_node_id(std::uint8_t node_id) noexcept override;
 
   /// Configuration -> objects, once at start.
   void fill_objects() noexcept;
@@ -131,6 +132,9 @@ class Module final : private can::NodeApplication {
   [[nodiscard]] bool cut() const noexcept { return reaction_ == can::Reaction::torque_off; }
   void enable() noexcept;
   void stop_and_hold(float deceleration_rad_s2) noexcept;
+  /// Of the ramp that an option code names: 1, 5 the slow-down ramp, 2, 6 the quick-stop ramp.
+  [[nodiscard]] float ramp_rad_s2(std::int16_t option) const noexcept;
+  void leave_operation(DriveState from, DriveState to) noexcept;
   void stop_at_limit(can::LimitCode why) noexcept;
   void go_passive(Time now) noexcept;
   void go_active() noexcept;
@@ -202,6 +206,7 @@ class Module final : private can::NodeApplication {
 
   // Decision
   bool limit_stop_ = false;
+  float user_stop_rad_s2_ = 0.0F;
   can::LimitCode hold_reason_ = can::LimitCode::none;
   can::LimitCode passive_ended_by_ = can::LimitCode::none;
   bool passivity_lost_ = false;  ///< the guard took the compensation back in the last passive phase

@@ -42,8 +42,8 @@ class DriveStateMachine {
   /// @returns the state in force.
   DriveState update(const Inputs& in) noexcept;
   /// Nothing new: what left the joint enabled in the last tick leaves it enabled in this one; no need to update().
-  [[nodiscard]] bool settled(const Inputs& in) const noexcept {
-    return settled_ && state_ == DriveState::operation_enabled && !in.fault && in.controlword == last_controlword_;
+  [[nodiscard]] bool settled(std::uint16_t controlword, bool fault) const noexcept {
+    return settled_ && state_ == DriveState::operation_enabled && !fault && controlword == last_controlword_;
   }
   /// NMT reset. Of the communication: like after power-up, but a fault stays. Of the node: the start anew, so that a
   /// cause that is still there is a fault anew; a reaction under way is carried through.

@@ -5,6 +5,8 @@ namespace mrr::fw {
 namespace {
 
 constexpr float kAdcFullScale = 32767.0F;
+// 200 Hz. A slower sensor's reading is sharpened to it; its noise grows by as much.
+constexpr float kCarriedBandwidth = 1256.0F;
 
 // Difference of free-running counters, right across the wrap.
 constexpr std::int32_t count_difference(std::int32_t a, std::int32_t b) noexcept {
@@ -39,6 +41,10 @@ Sensing::Sensing(const SensingConfig& config, const DriveConfig& drive, float dt
       observer_(config.velocity_bandwidth_rad_s, dt_s),
       radians_per_count_(2.0F * kPi / (static_cast<float>(config.encoder_counts_per_turn) * drive.gear_ratio)),
       torque_scale_(config.torque_full_scale_nm / kAdcFullScale),
+      sharpened_(config.torque_bandwidth_rad_s > 0.0F && config.torque_bandwidth_rad_s < kCarriedBandwidth),
+      torque_pole_(sharpened_ ? exp_negative(config.torque_bandwidth_rad_s * dt_s) : 0.0F),
+      carried_pole_(exp_negative(kCarriedBandwidth * dt_s)),
+      carried_gain_((1.0F - carried_pole_) / (1.0F - torque_pole_)),
       current_scale_(config.current_full_scale_a / kAdcFullScale),
       max_counts_per_tick_(config.max_plausible_velocity_rad_s * dt_s / radians_per_count_),
       dt_s_(dt_s),
@@ -51,6 +57,14 @@ float Sensing::set_position(float position_rad) noexcept {
   fine_offset_rad_ = position_rad - static_cast<float>(counts) * radians_per_count_;
   position_rad_ = position_rad;
   return change;
+}
+
+// The inverse of the sensor's lag, followed by the lag that may be.
+void Sensing::sharpen_torque(const RawSensors& raw) noexcept {
+  const Reading& last = joint_torque_;
+  const float now_nm = static_cast<float>(raw.torque_adc) * torque_scale_ - torque_offset_nm_;
+  carried_torque_nm_ =
+      last.valid ? carried_pole_ * carried_torque_nm_ + carried_gain_ * (now_nm - torque_pole_ * last.value) : now_nm;
 }
 
 void Sensing::update(Time now, const RawSensors& raw) noexcept {
@@ -95,6 +109,8 @@ void Sensing::update(Time now, const RawSensors& raw) noexcept {
     }
   };
   seen_ |= fresh;
+  if (sharpened_ && (fresh & kFreshTorque) != 0) [[unlikely]]
+    sharpen_torque(raw);
   take(kFreshTorque, static_cast<float>(raw.torque_adc) * torque_scale_ - torque_offset_nm_, config_.torque_timeout,
        joint_torque_, torque_at_);
   take(kFreshCurrent, static_cast<float>(raw.current_adc) * current_scale_, config_.current_timeout, current_,

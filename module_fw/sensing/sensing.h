@@ -50,6 +50,11 @@ class Sensing {
   [[nodiscard]] bool position_valid() const noexcept { return position_valid_; }
   /// Torque the transmission gives the link, Nm.
   [[nodiscard]] const Reading& joint_torque_nm() const noexcept { return joint_torque_; }
+  /// The same, meaningful while that is valid: what the joint carries now, with the lag of a slow sensor taken out.
+  /// Load that is carried late pumps the link on its spring.
+  [[nodiscard]] float carried_torque_nm() const noexcept {
+    return sharpened_ ? carried_torque_nm_ : joint_torque_.value;
+  }
   [[nodiscard]] const Reading& current_a() const noexcept { return current_; }
   [[nodiscard]] const Reading& winding_c() const noexcept { return winding_; }
   [[nodiscard]] const Reading& drive_c() const noexcept { return drive_temperature_; }
@@ -71,11 +76,18 @@ class Sensing {
   float set_position(float position_rad) noexcept;
 
  private:
+  void sharpen_torque(const RawSensors& raw) noexcept;
+
   const SensingConfig config_;
   VelocityObserver observer_;
   float radians_per_count_;
   float torque_scale_;
   float torque_offset_nm_ = 0.0F;
+  bool sharpened_;      ///< the sensor is slower than what is carried may be
+  float torque_pole_;   ///< of the sensor, per tick
+  float carried_pole_;  ///< of what is carried
+  float carried_gain_;
+  float carried_torque_nm_ = 0.0F;
   float current_scale_;
   float max_counts_per_tick_;
   float dt_s_;

@@ -11,11 +11,15 @@ endif()
 
 string(REPLACE "|" ";" sources "${SOURCES}")
 set(elf "${BINARY_DIR}/mrr_module.elf")
+file(GLOB stale "${elf}-*.ci")
+if(stale)
+  file(REMOVE ${stale})
+endif()
 execute_process(
   COMMAND "${GXX}" -std=c++20 -O2 -mcpu=cortex-m4 -mthumb -mfpu=fpv4-sp-d16 -mfloat-abi=hard
     -ffreestanding -fno-exceptions -fno-rtti -fno-threadsafe-statics -fno-use-cxa-atexit -fno-math-errno
     -ffunction-sections -fdata-sections -ffp-contract=off -fno-tree-slp-vectorize
-    -Wall -Wextra -Wconversion -Wdouble-promotion -Wshadow -Werror -DMRR_NO_TEST_OBJECTS
+    -Wall -Wextra -Wconversion -Wdouble-promotion -Wshadow -Werror -DMRR_NO_TEST_OBJECTS -fcallgraph-info=su
     -I "${SOURCE_DIR}" -I "${PROJECT_BINARY_DIR}/generated" ${sources}
     -Wno-psabi -nostdlib -lc_nano -lgcc -Wl,--gc-sections -Wl,--fatal-warnings
     -Wl,-Map=${elf}.map -T "${SOURCE_DIR}/module_fw/targets/cortex_m/cortex_m4.ld" -o "${elf}"
@@ -43,5 +47,15 @@ endforeach()
 if(bad)
   message(FATAL_ERROR "Symbols that a module must not need: ${bad}")
 endif()
+# The linker script keeps this much free for the stack.
+file(STRINGS "${SOURCE_DIR}/module_fw/targets/cortex_m/cortex_m4.ld" line REGEX "^stack_size = [0-9]+K;")
+string(REGEX MATCH "[0-9]+" kilobytes "${line}")
+math(EXPR limit "${kilobytes} * 1024")
+file(GLOB graphs "${elf}-*.ci")
+execute_process(COMMAND "${PYTHON}" "${SOURCE_DIR}/module_fw/targets/cortex_m/stack_use.py" ${limit} ${graphs}
+  OUTPUT_VARIABLE stack ERROR_VARIABLE stack_error RESULT_VARIABLE failed)
+if(failed)
+  message(FATAL_ERROR "The stack:\n${stack}${stack_error}")
+endif()
 execute_process(COMMAND "${SIZE}" "${elf}" OUTPUT_VARIABLE size)
-message(STATUS "Cortex-M4F image: no heap, no exceptions, no double arithmetic\n${size}")
+message(STATUS "Cortex-M4F image: no heap, no exceptions, no double arithmetic\n${stack}${size}")

@@ -18,6 +18,11 @@ can::TransmitQueue transmit_queue;
 StaticVector<can::ReceivedFrame, kReceiveCapacity> received;
 Time now;
 
+fw::FlashStore& parameter_store() {
+  static fw::FlashStore store(fw::board::parameter_flash());
+  return store;
+}
+
 volatile std::uint32_t& reg(std::uintptr_t address) { return *reinterpret_cast<volatile std::uint32_t*>(address); }
 
 void start_tick(std::uint32_t core_clock_hz) {
@@ -46,6 +51,8 @@ extern "C" void SysTick_Handler() {
 }
 
 int main() {
-  start_tick(fw::board::start());
+  const std::uint32_t core_clock_hz = fw::board::start();
+  module.load_parameters(parameter_store());
+  start_tick(core_clock_hz);
   for (;;) asm volatile("wfi");
 }

@@ -47,8 +47,8 @@ std::uint32_t configuration_hash(const ModuleConfig& c) {
   h.all(c.node_id, c.supervisor_node_id, c.selection_bit, c.tick, c.knot_period, c.bit_rate);
   const SensingConfig& s = c.sensing;
   h.all(s.encoder_counts_per_turn, s.encoder_absolute, s.encoder_zero_count, s.velocity_bandwidth_rad_s,
-        s.torque_sensor, s.torque_full_scale_nm, s.current_full_scale_a, s.encoder_timeout, s.torque_timeout,
-        s.current_timeout, s.slow_timeout, s.max_plausible_velocity_rad_s);
+        s.torque_sensor, s.torque_full_scale_nm, s.torque_bandwidth_rad_s, s.current_full_scale_a, s.encoder_timeout,
+        s.torque_timeout, s.current_timeout, s.slow_timeout, s.max_plausible_velocity_rad_s);
   const FrictionConfig& f = c.friction;
   h.all(f.coulomb_nm, f.static_nm, f.stribeck_decay_s2_rad2, f.viscous_nm_s_rad);
   const ControlConfig& k = c.control;
@@ -93,7 +93,10 @@ ModuleConfig module_config(const RobotDescription& robot, int joint) {
   c.sensing.encoder_counts_per_turn = j.sensors.encoder_counts_per_turn;
   c.sensing.encoder_absolute = j.sensors.encoder_absolute;
   c.sensing.torque_sensor = j.sensors.torque_sensor;
-  if (j.sensors.torque_sensor) c.sensing.torque_full_scale_nm = narrow(j.sensors.torque_full_scale_nm);
+  if (j.sensors.torque_sensor) {
+    c.sensing.torque_full_scale_nm = narrow(j.sensors.torque_full_scale_nm);
+    c.sensing.torque_bandwidth_rad_s = narrow(2.0 * std::numbers::pi * j.sensors.torque_bandwidth_hz);
+  }
   c.sensing.current_full_scale_a = narrow(j.sensors.current_full_scale_a);
 
   c.friction = {narrow(j.friction.coulomb_nm), narrow(j.friction.static_nm), narrow(j.friction.stribeck_decay_s2_rad2),

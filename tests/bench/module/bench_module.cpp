@@ -61,6 +61,8 @@ void print_robustness() {
       {"inertia -20 %", [](QualityCase& c) { c.link_inertia = c.rotor_inertia = 0.8; }},
       {"inertia +20 %", [](QualityCase& c) { c.link_inertia = c.rotor_inertia = 1.2; }},
       {"torque sensor 50 Hz", [](QualityCase& c) { c.torque_bandwidth_hz = 50; }},
+      {"50 Hz, believed 60 Hz", [](QualityCase& c) { c.torque_bandwidth_hz = 50, c.believed_bandwidth_hz = 60; }},
+      {"50 Hz, believed 200 Hz", [](QualityCase& c) { c.torque_bandwidth_hz = 50, c.believed_bandwidth_hz = 200; }},
       {"torque sensor 100 Hz", [](QualityCase& c) { c.torque_bandwidth_hz = 100; }},
       {"loop 500 Hz", [](QualityCase& c) { c.loop_hz = 500; }},
       {"loop 2 kHz", [](QualityCase& c) { c.loop_hz = 2000; }},

@@ -44,6 +44,8 @@ JointSetup setup_of(const QualityCase& c) {
     robot.bus.loop_rate_hz = c.loop_hz;
     ControlDescription& k = robot.joints[static_cast<std::size_t>(c.joint)].control;
     k.friction_feedforward = c.feedforward;
+    robot.joints[static_cast<std::size_t>(c.joint)].sensors.torque_bandwidth_hz =
+        c.believed_bandwidth_hz > 0.0 ? c.believed_bandwidth_hz : c.torque_bandwidth_hz;
     k.compensator.enabled = c.compensator;
   };
   s.plant = [c](RobotDescription& robot, sim::PlantDescription& plant) {

@@ -20,6 +20,7 @@ struct QualityCase {
   double link_inertia = 1.0;  ///< true masses and inertias of the links
   double rotor_inertia = 1.0;
   double torque_bandwidth_hz = 200.0;
+  double believed_bandwidth_hz = 0.0;  ///< what the module is told of it; 0: the truth
   double loop_hz = 1000.0;
   double sensor_lost_at_s = -1.0;  ///< from then on no reading of the torque sensor is fresh
   double model_error = 0.0;        ///< share by which the supervisor's model torque is wrong

@@ -115,7 +115,7 @@ TEST_F(LssTest, node_ids_that_cannot_be_are_refused) {
   for (const int id : {1, 127, 255}) EXPECT_THAT(lss({0x11, id}), ElementsAre(answer({0x11, 0}))) << id;
 }
 
-TEST_F(LssTest, only_the_bit_rate_in_force_can_be_had_and_nothing_is_stored) {
+TEST_F(LssTest, only_the_bit_rate_in_force_can_be_had_and_without_a_memory_nothing_is_stored) {
   boot();
   configuration_mode();
   EXPECT_THAT(lss({0x13, 0, 0}), ElementsAre(answer({0x13, 0})));

@@ -44,6 +44,19 @@ TEST_P(ControlQuality, StandsStill) {
   EXPECT_LE(s.last_torque_peak_to_peak_nm, 1.5) << "a limit cycle";
 }
 
+// Load that is carried late pumps the arm on its spring: the base joint swung for ever with 10 Nm.
+TEST_P(ControlQuality, StandsStillWithASlowTorqueSensor) {
+  for (const double believed_hz : {50.0, 60.0}) {
+    QualityCase c = nominal();
+    c.torque_bandwidth_hz = 50.0;
+    c.believed_bandwidth_hz = believed_hz;
+    const Standing s = stand(c, 30.0);
+    ASSERT_TRUE(s.completed);
+    EXPECT_LE(s.peak_to_peak_mrad, 1.0) << believed_hz;
+    EXPECT_LE(s.last_torque_peak_to_peak_nm, 2.5) << believed_hz << ": a limit cycle";
+  }
+}
+
 TEST_P(ControlQuality, TracksWithAnotherPlantThanItKnows) {
   const auto tracked = [&](auto change) {
     QualityCase c = nominal();

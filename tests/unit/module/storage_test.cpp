@@ -318,6 +318,44 @@ TEST_F(ModuleWithMemory, WhatASupervisorSetsAtEachStartAndWhatCalibrationFindsDo
   EXPECT_FLOAT_EQ(boot()->module.objects().torque_sensor_offset_nm, 0.7F);
 }
 
+TEST_F(ModuleWithMemory, ANodeIdThatLssStoredIsInForceFromTheNextStart) {
+  auto b = boot();
+  b->write(0x2120, 2, std::bit_cast<std::uint32_t>(20.0F), 4);  // written, not stored
+  const auto lss = [&](std::uint8_t command, std::uint8_t value) -> std::optional<int> {
+    can::Frame f;
+    f.id = can::kLssRequestCobId;
+    f.length = 8;
+    f.data[0] = command;
+    f.data[1] = value;
+    b->sent.clear();
+    b->receive(f);
+    b->tick();
+    for (const can::Frame& answer : b->sent) {
+      if (answer.id == can::kLssAnswerCobId && answer.data[0] == command) return answer.data[1];
+    }
+    return std::nullopt;
+  };
+  b->receive(can::nmt_frame(can::NmtCommand::enter_pre_operational, 0));
+  b->run(0.01);
+  lss(0x04, 1);
+  EXPECT_EQ(lss(0x11, 77), 0);
+  EXPECT_EQ(lss(0x17, 0), 0);
+  EXPECT_EQ(lss(0x17, 0), 2) << "the memory is busy";
+  b->run(1.0);
+  EXPECT_EQ(b->module.objects().storage_state, static_cast<int>(StorageState::good));
+
+  auto after = boot();
+  EXPECT_EQ(after->module.objects().stored_node_id, 77);
+  EXPECT_EQ(after->module.objects().sdo_server_cob_id_receive, 0x600U + 77);
+  EXPECT_EQ(after->module.objects().tpdo_communication[0].cob_id & 0x7FFU, 0x180U + 77);
+  EXPECT_TRUE(std::any_of(after->sent.begin(), after->sent.end(),
+                          [](const can::Frame& f) { return f.id == can::kHeartbeatCobId + 77; }));
+  EXPECT_FALSE(std::any_of(after->sent.begin(), after->sent.end(),
+                           [&](const can::Frame& f) { return f.id == can::kHeartbeatCobId + after->config.node_id; }));
+  EXPECT_EQ(after->module.objects().configuration_hash, 0x12345678U) << "a name is no configuration";
+  EXPECT_FLOAT_EQ(after->module.objects().limit_torque_nm, after->config.limits.torque_nm) << "the node id alone";
+}
+
 TEST_F(ModuleWithMemory, ATornWriteIsAWarningThatTheNextStoreTakesAway) {
   save(*boot());
   save(*boot());
