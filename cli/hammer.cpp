@@ -21,6 +21,8 @@
 #include "cli/text.h"
 #include "common/robot/errors.h"
 #include "sim_vcan/world/hammer_job.h"
+#include "supervisor/ledger/ledger_file.h"
+#include "supervisor/report_json.h"
 
 extern char** environ;
 
@@ -45,6 +47,7 @@ struct HammerArguments {
   std::string bus;  ///< empty: the simulated robot on one clock
   std::string socket;
   std::string plant_socket;
+  std::string ledger;
 };
 
 /// Runs tools/report.py on the folder; false if it failed. Its messages go to stderr.
@@ -134,6 +137,8 @@ struct Job {
   Outcome outcome;
   std::string bus_log;
   std::string telemetry_csv;
+  std::string ledger_text;  ///< empty: none was kept
+  nlohmann::ordered_json ledger;
 };
 
 Job run_on_one_clock(const HammerArguments& arguments) {
@@ -141,6 +146,10 @@ Job run_on_one_clock(const HammerArguments& arguments) {
   job.robot = load_robot(find_robot(arguments.robot));
   const RobotDescription& robot = job.robot;
   const sim::PlantDescription plant = sim::load_plant(robot, find_board(arguments.board));
+
+  // What cannot be written to is said before anything swings.
+  std::optional<sup::LedgerFile> ledger;
+  if (!arguments.ledger.empty()) ledger.emplace(robot, arguments.ledger, sup::today_utc());
 
   sim::HammerJobOptions options;
   options.world.seed = arguments.seed;
@@ -163,6 +172,11 @@ Job run_on_one_clock(const HammerArguments& arguments) {
       });
   const double wall_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - began).count();
   bar.clear();
+  if (ledger) {
+    for (const sup::SwingReport& swing : result.swings) ledger->enter(swing);
+    job.ledger_text = sup::report(robot, ledger->ledger());
+    job.ledger = sup::ledger_json(robot, ledger->ledger());
+  }
   job.outcome = outcome_of(robot, result, wall_s);
   job.bus_log = bus_log.str();
   std::ostringstream csv;
@@ -211,6 +225,7 @@ int run(const HammerArguments& arguments) {
     tables = reproduce_tables(load_robot(find_robot("robots/mrr3")));
     json["tables"] = tables_json(tables);
   }
+  if (!job.ledger.is_null()) json["ledger"] = job.ledger;
   const fs::path out = make_folder(arguments.out);
   std::error_code ignored;
   fs::remove(out / "experiment.json", ignored);
@@ -234,6 +249,7 @@ int run(const HammerArguments& arguments) {
     fmt::print("\n{}", verdict_text(job.robot, json));
     fmt::print("  files   {}/: {}bus.log, telemetry.csv, result.json\n", out.string(),
                wanted && reported ? "report.html, " : "");
+    if (!job.ledger_text.empty()) fmt::print("\n{}", job.ledger_text);
     if (!job.outcome.truth_known)
       fmt::print("          no report.html: there is no plant to say what really happened\n");
   }
@@ -288,11 +304,17 @@ void add_hammer_command(CLI::App& app, int& status) {
                    "Socket of mrr_plant, which knows what really happened (default: the usual place, if one is there)")
       ->type_name("PATH")
       ->needs(bus);
+  CLI::Option* ledger =
+      command->add_option("--ledger", arguments->ledger,
+                          "Enter the blows into this account of what the gears have borne (made if not there)");
+  ledger->type_name("FILE");
+  // A robot on a bus has a supervisor that keeps it.
+  bus->excludes(ledger);
   // Which board there is is the matter of the robot's surroundings, not of this command.
   bus->excludes(board);
   bus->excludes(boot_delay);
   // The experiment has boards, modes and swings of its own.
-  for (CLI::Option* option : {board, swings, mode, as_printed, bus, boot_delay}) experiment->excludes(option);
+  for (CLI::Option* option : {board, swings, mode, as_printed, bus, boot_delay, ledger}) experiment->excludes(option);
   command->add_flag("--json", arguments->json, "Print one JSON object (docs/result.schema.json) and nothing else");
   command->add_flag("--no-report", arguments->no_report, "Do not make report.html");
   command->callback([arguments, seed, robot, &status] {

@@ -45,8 +45,7 @@ sup::StrikeMeasure strike_measure(const std::string& name) {
 
 sup::PassiveMode passive_mode(const std::string& name) {
   if (name == "never") return sup::PassiveMode::never;
-  if (name == "always") return sup::PassiveMode::always;
-  return name == "lightest" ? sup::PassiveMode::lightest : sup::PassiveMode::planned;
+  return name == "always" ? sup::PassiveMode::always : sup::PassiveMode::planned;
 }
 
 int run_plan(const StrikeOptions& options, bool json) {
@@ -148,8 +147,8 @@ void add_strike_options(CLI::App& command, StrikeOptions& o) {
   command.add_option("--speed", o.speed_share, "Share of the speed that the limits allow")
       ->capture_default_str()
       ->check(between(0.001, 1.0));
-  command.add_option("--mode", o.mode, "Passive switching: planned, lightest, never, or always all joints")
-      ->check(CLI::IsMember({"planned", "lightest", "never", "always"}))
+  command.add_option("--mode", o.mode, "Passive switching: planned, never, or always all joints")
+      ->check(CLI::IsMember({"planned", "never", "always"}))
       ->capture_default_str();
   command
       .add_option("--passive", o.passive, "These joints passive and no other: names or numbers, comma separated; none")

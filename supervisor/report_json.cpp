@@ -50,13 +50,12 @@ const char* mode_name(PassiveMode mode) noexcept {
       return "never";
     case PassiveMode::always:
       return "always";
-    case PassiveMode::lightest:
-      return "lightest";
   }
   return "unknown";
 }
 
 Json plan_json(const RobotDescription& robot, const StrikePlan& plan) {
+  const bool over_contact = plan.blow.feasible && plan.blow.approaching;
   Json joints = Json::array();
   for (std::size_t i = 0; i < robot.joints.size(); ++i) {
     const JointLoad& load = plan.loads[i];
@@ -65,6 +64,8 @@ Json plan_json(const RobotDescription& robot, const StrikePlan& plan) {
                       {"free_nm_s", number(load.free_nm_s)},
                       {"held_nm_s", number(load.held_nm_s)},
                       {"planned_nm_s", number(load.planned_nm_s)},
+                      {"peak_predicted_nm",
+                       over_contact ? number(plan.blow.peak_torque_nm[static_cast<Eigen::Index>(i)]) : Json(nullptr)},
                       {"rated_limit_nm_s", number(load.limits.rated_nm_s)},
                       {"repeated_peak_limit_nm_s", number(load.limits.repeated_nm_s)}});
   }
@@ -86,6 +87,7 @@ Json plan_json(const RobotDescription& robot, const StrikePlan& plan) {
   for (const SelectionCandidate& selection : plan.selections) {
     selections.push_back({{"passive", selection.passive},
                           {"feasible", selection.feasible},
+                          {"model", describe(selection.model)},
                           {"load_ratio_per_n_s", number(selection.load_ratio_per_n_s)},
                           {"impulse_n_s", number(selection.impulse_n_s)},
                           {"note", selection.note}});
@@ -97,6 +99,7 @@ Json plan_json(const RobotDescription& robot, const StrikePlan& plan) {
           {"speed_m_s", number(plan.speed_m_s)},
           {"tilt_rad", number(plan.tilt_rad)},
           {"impulse_predicted_n_s", number(plan.impulse_n_s)},
+          {"impulse_instant_n_s", number(plan.prediction.impulse_n_s)},
           {"effective_mass_kg", number(plan.effective_mass_kg)},
           {"follow_through_mm", number(plan.follow_through_m * 1e3)},
           {"contact_time_s", number(plan.contact_time.seconds())},
@@ -156,6 +159,30 @@ Json swing_json(const RobotDescription& robot, const SwingReport& swing) {
           {"seen_by_robot", seen_json(swing)},
           {"plan", plan_json(robot, swing.plan)},
           {"joints", joints}};
+}
+
+Json ledger_json(const RobotDescription& robot, const Ledger& ledger) {
+  Json joints = Json::array();
+  for (std::size_t i = 0; i < robot.joints.size(); ++i) {
+    const JointLedger& joint = ledger.joints[i];
+    const TransmissionDescription& drive = robot.joints[i].transmission;
+    const auto uses = [&](PulseShape shape) {
+      return Json{{"rated", number(joint.use(drive, LoadLimit::rated, shape))},
+                  {"repeated_peak", number(joint.use(drive, LoadLimit::repeated_peak, shape))},
+                  {"momentary_peak", number(joint.use(drive, LoadLimit::momentary_peak, shape))}};
+    };
+    joints.push_back({{"name", robot.joints[i].name},
+                      {"blows", joint.blows},
+                      {"blows_not_seen", joint.unknown},
+                      {"peaks_over_rated", joint.peaks_over[0]},
+                      {"momentary_events", joint.momentary_events()},
+                      {"peaks_over_momentary", joint.peaks_over[2]},
+                      {"largest_peak_nm", number(joint.largest_peak_nm)},
+                      {"largest_use_square", uses(PulseShape::square)},
+                      {"largest_use_half_sine", uses(PulseShape::half_sine)},
+                      {"life_share", number(joint.life_share())}});
+  }
+  return {{"since", ledger.since}, {"joints", joints}};
 }
 
 }  // namespace mrr::sup

@@ -5,6 +5,7 @@
 #include <nlohmann/json.hpp>
 
 #include "common/robot/robot.h"
+#include "supervisor/ledger/ledger.h"
 #include "supervisor/strike/session.h"
 
 namespace mrr::sup {
@@ -24,5 +25,7 @@ namespace mrr::sup {
 [[nodiscard]] nlohmann::ordered_json aborted_json(const SwingOutcome& outcome);
 /// A swing as far as the robot itself knows it.
 [[nodiscard]] nlohmann::ordered_json swing_json(const RobotDescription& robot, const SwingReport& swing);
+/// What the gears have borne.
+[[nodiscard]] nlohmann::ordered_json ledger_json(const RobotDescription& robot, const Ledger& ledger);
 
 }  // namespace mrr::sup

@@ -867,6 +867,7 @@ void Supervisor::on_cycle() noexcept {
     }
     if (contact.phase == ContactPhase::touching) {
       outcome_.peak_torque_nm[at(i)] = std::max(outcome_.peak_torque_nm[at(i)], std::abs(measured.torque_nm));
+      outcome_.axis_impulse_nm_s[at(i)] += measured.torque_nm * sync_period_.seconds();
     }
   }
   if (contact.phase != contact_phase_) {

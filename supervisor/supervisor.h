@@ -106,6 +106,7 @@ struct SwingOutcome {
   Time switch_effective;                            ///< armed for, supervisor's clock
   std::array<Time, kMaxJoints> passive_seen{};      ///< SYNC at which the joint showed passive; ns < 0: never
   std::array<double, kMaxJoints> peak_torque_nm{};  ///< joint torque sensors at the knot rate, during contact
+  std::array<double, kMaxJoints> axis_impulse_nm_s{};  ///< the same, summed over the contact; signed
 };
 
 /// One swing as the cycle needs it; copied in by execute().

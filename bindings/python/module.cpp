@@ -69,10 +69,8 @@ std::string word_of(const Words<T>& words, T value) {
   }
   return "";
 }
-const Words<sup::PassiveMode> kModes{{"planned", sup::PassiveMode::planned},
-                                     {"never", sup::PassiveMode::never},
-                                     {"always", sup::PassiveMode::always},
-                                     {"lightest", sup::PassiveMode::lightest}};
+const Words<sup::PassiveMode> kModes{
+    {"planned", sup::PassiveMode::planned}, {"never", sup::PassiveMode::never}, {"always", sup::PassiveMode::always}};
 const Words<sup::StrikeMeasure> kRankings{{"load_ratio", sup::StrikeMeasure::load_ratio},
                                           {"internal_impact", sup::StrikeMeasure::internal_impact},
                                           {"effective_mass", sup::StrikeMeasure::effective_mass}};
@@ -301,8 +299,7 @@ void bind_plan(py::module_& m) {
       .def_readwrite("seed", &In::seed)
       .def_property(
           "mode", [](const In& in) { return word_of(kModes, in.mode); },
-          [](In& in, const std::string& w) { in.mode = value_of(kModes, "mode", w); },
-          "planned, lightest, never, always")
+          [](In& in, const std::string& w) { in.mode = value_of(kModes, "mode", w); }, "planned, never, always")
       .def_property(
           "measure", [](const In& in) { return word_of(kRankings, in.measure); },
           [](In& in, const std::string& w) { in.measure = value_of(kRankings, "measure", w); })
@@ -337,8 +334,7 @@ void bind_plan(py::module_& m) {
   py::class_<Selection>(m, "SelectionCandidate", "One selection of passive joints that was weighed.")
       .def_readonly("passive", &Selection::passive)
       .def_readonly("feasible", &Selection::feasible)
-      .def_readonly("overloads_active", &Selection::overloads_active)
-      .def_readonly("needless", &Selection::needless)
+      .def_property_readonly("model", [](const Selection& s) { return sup::describe(s.model); })
       .def_readonly("load_ratio_per_n_s", &Selection::load_ratio_per_n_s)
       .def_readonly("impulse_n_s", &Selection::impulse_n_s)
       .def_readonly("note", &Selection::note);

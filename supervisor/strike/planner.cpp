@@ -17,6 +17,7 @@
 #include "supervisor/impact/selection.h"
 #include "supervisor/strike/joint_norm.h"
 #include "supervisor/strike/null_space.h"
+#include "supervisor/strike/reconsider.h"
 
 namespace mrr::sup {
 namespace {
@@ -36,6 +37,7 @@ constexpr double kEvenSwing = 1.4;  // swing time over travel/speed; 2 is speed 
 constexpr double kUnhurried = 1.6;  // of the shortest time, where nothing is gained by haste
 constexpr double kLongestSwingS = 10.0;
 constexpr double kLeastArmingS = 0.25;  // for every module to acknowledge, and for a stop if one does not
+constexpr double kIdle = 0.01;          // a joint that even held carries less than this share of rated is left active
 constexpr double kDegrees = 180.0 / std::numbers::pi;
 
 [[noreturn]] void refuse(const std::string& sentence) { throw PlanError(sentence); }
@@ -112,8 +114,11 @@ class Planner {
   void weigh_selections(const Blow& blow, const ChainPose& pose, const SelectionSweep& sweep,
                         std::optional<std::uint32_t> around);
   [[nodiscard]] const Weighed* choose(Blow& blow, double slower) const;
-  [[nodiscard]] JointVector drops(const ChainPose& pose) const;
+  [[nodiscard]] JointVector falls(const ChainPose& pose) const;
   void detail(Blow& blow);
+  std::optional<Obstacle> settle_selection(Blow& blow, StrikePlan& plan);
+  [[nodiscard]] const Weighed& weighed_of(std::uint32_t passive) const;
+  [[nodiscard]] std::string why_not(const Weighed& w, const Blow& blow) const;
   void explain_selections(const Blow& blow, StrikePlan& plan);
   [[nodiscard]] double measure_of(const Blow& blow, const ChainPose& pose) const;
   [[nodiscard]] bool smaller_is_better() const { return request_.measure == StrikeMeasure::load_ratio; }
@@ -133,6 +138,12 @@ class Planner {
     return grid_ * static_cast<std::int64_t>(std::ceil(at_least_s / grid_.seconds() - 1e-6));
   }
   [[nodiscard]] double weight_force(const Blow& blow) const;
+  struct SwitchTimes {
+    double lead_s = 0.0;
+    double passive_s = 0.0;
+  };
+  [[nodiscard]] SwitchTimes switch_times(const Blow& blow, std::uint32_t passive, const JointVector& delta_qd,
+                                         const JointVector& fall, Duration contact_time) const;
   void time_the_switch(const Blow& blow, StrikePlan& plan) const;
 
   const RobotDescription& robot_;
@@ -143,7 +154,10 @@ class Planner {
   std::array<JointLoad, kMaxJoints> joint_{};  // what does not depend on the pose
   JointVector speed_limit_;                    // of the joints at impact, rad/s
   std::array<double, kMaxJoints> controlled_inertia_{};
-  std::vector<Weighed> weighed_;  // of the pose weighed last
+  std::optional<StrikeArm> arm_;         // none: the reference's equations know only the instant
+  std::vector<Weighed> weighed_;         // of the pose weighed last
+  std::uint32_t idle_ = 0;               // joints that carry next to nothing in it, held or not
+  std::vector<RankedSelection> ranked_;  // of the pose settled last
 };
 
 Planner::Planner(const RobotDescription& robot, const Chain& chain, const PlanInput& request)
@@ -166,35 +180,37 @@ Planner::Planner(const RobotDescription& robot, const Chain& chain, const PlanIn
     joint_[at(i)].controlled_inertia_kg_m2 = controlled_inertia_[at(i)];
     joint_[at(i)].qd_limit_rad_s = speed_limit_[i];
   }
+  if (request_.formulation == Formulation::corrected) arm_.emplace(robot_);
 }
 
-/// How far each joint would fall, passive, from the switch to the end of the contact, rad: by what gravity exceeds the
-/// friction that is left, the nail not counted on.
-JointVector Planner::drops(const ChainPose& pose) const {
+/// How fast each joint would begin to fall if it were passive, rad/s^2: by what gravity exceeds the friction that is
+/// left, the nail not counted on.
+JointVector Planner::falls(const ChainPose& pose) const {
   const JointVector g = chain_.gravity(pose);
   const JointMatrix M = chain_.mass_matrix(pose);
-  const double time_s = robot_.task.switch_lead_s + request_.contact_duration_s;
-  JointVector drop(dof());
+  JointVector fall(dof());
   for (int i = 0; i < dof(); ++i) {
     const JointDescription& joint = robot_.joints[at(i)];
     const double left_nm = joint.friction.static_nm * (1.0 - joint.control.passive_compensation);
-    const double fall = std::max(std::abs(g[i]) - left_nm, 0.0) / (M(i, i) + joint.reflected_inertia_kg_m2());
-    drop[i] = 0.5 * fall * time_s * time_s;
+    fall[i] = std::max(std::abs(g[i]) - left_nm, 0.0) / (M(i, i) + joint.reflected_inertia_kg_m2());
   }
-  return drop;
+  return fall;
 }
 
 /// Every selection that the request leaves open, into weighed_. `around`: only this one and those that differ from it
 /// by one joint.
 void Planner::weigh_selections(const Blow& blow, const ChainPose& pose, const SelectionSweep& sweep,
                                std::optional<std::uint32_t> around) {
-  const JointVector drop = drops(pose);
+  const double fall_s = robot_.task.switch_lead_s + request_.contact_duration_s;
+  const JointVector drop = 0.5 * fall_s * fall_s * falls(pose);
+  idle_ = 0;
   JointVector may_hold_m_s(dof());  // up to which each joint, held, carries no more than rated
   for (int i = 0; i < dof(); ++i) {
     const SelectionBlow held = sweep.held(i);
     const double impulse = held.impulse_n_s(1.0, request_.restitution, request_.nail_mass_kg);
     may_hold_m_s[i] = joint_[at(i)].limits.rated_nm_s / (std::abs(held.axis_nm_s_per_n_s[i]) * impulse);
     if (!(may_hold_m_s[i] >= 0.0)) may_hold_m_s[i] = 0.0;
+    if (kIdle * may_hold_m_s[i] > blow.top_speed_m_s) idle_ |= 1U << i;
   }
   std::uint32_t candidates = 0;
   std::uint32_t fixed = 0;
@@ -272,9 +288,7 @@ const Weighed* Planner::choose(Blow& blow, double slower) const {
   }
   const auto feasible = [&](const Weighed& w) { return w.allowed_m_s >= (1.0 - 1e-9) * reach * w.wanted_m_s; };
   const auto overloads = [&](const Weighed& w) { return reach * w.wanted_m_s > w.considerate_m_s; };
-  const auto needless = [&](const Weighed& w) {
-    return request_.mode == PassiveMode::planned && reach * w.wanted_m_s <= w.needless_m_s;
-  };
+  const auto needless = [&](const Weighed& w) { return reach * w.wanted_m_s <= w.needless_m_s; };
   // Whoever would carry more than rated while active goes passive if anything helps, and nobody else; after that the
   // lightest load wins.
   const auto better = [&](const Weighed& a, const Weighed& b) {
@@ -393,54 +407,154 @@ void Planner::detail(Blow& blow) {
   }
 }
 
-/// The selections of the pose weighed last, which must be `blow`: the chosen one, then the lightest of the others.
+const Weighed& Planner::weighed_of(std::uint32_t passive) const {
+  return *std::lower_bound(weighed_.begin(), weighed_.end(), passive,
+                           [](const Weighed& w, std::uint32_t p) { return w.passive < p; });
+}
+
+/// Why a selection may not be taken at the speed of `blow`; empty: it may.
+std::string Planner::why_not(const Weighed& w, const Blow& blow) const {
+  const double speed = blow.speed_m_s / blow.wanted_speed_m_s * w.wanted_m_s;
+  const std::string& joint = robot_.joints[at(w.limiting_joint)].name;
+  if (!std::isfinite(w.impulse_n_s_per_m_s)) return "the arm could not yield";
+  if (!(w.allowed_m_s > 0.0)) return fmt::format("{} would fall too far", joint);
+  if (!(w.allowed_m_s >= (1.0 - 1e-9) * speed)) {
+    const double limit = joint_[at(w.limiting_joint)].limits.repeated_nm_s;
+    return fmt::format("{} would carry {:.3f} N m s, repeated peak allows {:.3f}", joint, limit * speed / w.allowed_m_s,
+                       limit);
+  }
+  return {};
+}
+
+/// An instant does not tell what a contact of a tenth of a second does to a gear: control, gravity, friction and what
+/// it carried before count as much as the blow. So every selection that stands the speed is predicted over the contact,
+/// with the motion as planned, and the one with the lowest peaks per newton second is taken. Weighs the pose weighed
+/// last, which must be `blow`.
+std::optional<Obstacle> Planner::settle_selection(Blow& blow, StrikePlan& plan) {
+  ranked_.clear();
+  if (!arm_) return std::nullopt;
+  std::sort(weighed_.begin(), weighed_.end(), [](const Weighed& a, const Weighed& b) { return a.passive < b.passive; });
+  const ChainPose pose = chain_.pose(blow.pose.q);
+  const SelectionSweep sweep(chain_, pose, request_.normal, controlled_inertia_, request_.rotors, request_.formulation);
+  const JointVector fall = falls(pose);
+  plan.q_impact = blow.pose.q;
+  plan.qd_impact = blow.qd;
+  plan.normal = request_.normal;
+  const PredictInput swing = predict_input(plan, request_.contact);
+
+  // Where the request leaves nothing open there is one set; else every one without idle joints.
+  const bool open = weighed_.size() > 1;
+  const std::uint32_t fixed = open ? 0U : blow.passive;
+  const auto input = [&](std::uint32_t chosen) -> std::optional<PredictInput> {
+    const std::uint32_t passive = chosen | fixed;
+    if (open && !why_not(weighed_of(passive), blow).empty()) return std::nullopt;
+    if (open && passive != 0 && plan.contact_time < seconds(kLeastArmingS)) return std::nullopt;
+    const SelectionBlow instant = sweep.at(passive);
+    const double impulse = instant.impulse_n_s(blow.speed_m_s, request_.restitution, request_.nail_mass_kg);
+    const SwitchTimes times = switch_times(blow, passive, impulse * instant.delta_qd_per_n_s, fall, plan.contact_time);
+    PredictInput in = swing;
+    for (int i = 0; i < dof(); ++i) {
+      in.joints[at(i)] = (passive >> i & 1U) != 0 ? JointHold::free : JointHold::controlled;
+    }
+    in.switch_lead_s = times.lead_s;
+    in.passive_s = passive != 0 ? times.passive_s : 1.0;
+    return in;
+  };
+  std::array<double, kMaxJoints> rated{};
+  std::array<double, kMaxJoints> repeated{};
+  for (int i = 0; i < dof(); ++i) {
+    rated[at(i)] = robot_.joints[at(i)].transmission.rated_nm;
+    repeated[at(i)] = robot_.joints[at(i)].transmission.repeated_peak_nm;
+  }
+  const SelectionContest contest{.arm = *arm_,
+                                 .blow = input,
+                                 .rated_nm = {rated.data(), at(dof())},
+                                 .repeated_nm = {repeated.data(), at(dof())},
+                                 .candidates = open ? all() & ~idle_ : 0U,
+                                 .tie = kTie};
+  ranked_ = rank_selections(contest, std::array{blow.passive});
+  const bool predicted = std::any_of(ranked_.begin(), ranked_.end(), [](const auto& r) { return r.peak_ratio > 0.0; });
+  if (!predicted) {
+    ranked_.clear();  // no model sees it hit: what the instant says stands
+    return std::nullopt;
+  }
+  const RankedSelection& best = ranked_.front();
+  if (!best.feasible) {
+    return Obstacle{fmt::format("{} would carry {:.1f} Nm, repeated peak allows {:.1f} Nm (passive: {}, at {:.3f} m/s)",
+                                robot_.joints[at(best.heaviest)].name, best.heaviest_nm, repeated[at(best.heaviest)],
+                                names(robot_, best.passive), blow.speed_m_s),
+                    true};
+  }
+  if (open) blow.chosen = weighed_of(best.passive);
+  blow.passive = best.passive;
+  return std::nullopt;
+}
+
+/// The selections of the pose settled last, which must be `blow`: the chosen one, then the lightest of the others, then
+/// those that could not be taken.
 void Planner::explain_selections(const Blow& blow, StrikePlan& plan) {
   constexpr std::size_t kListed = 16;
-  const auto speed = [&](const Weighed& w) { return blow.speed_m_s / blow.wanted_speed_m_s * w.wanted_m_s; };
-  const auto feasible = [&](const Weighed& w) { return w.allowed_m_s >= (1.0 - 1e-9) * speed(w); };
-  const auto overloads = [&](const Weighed& w) { return speed(w) > w.considerate_m_s; };
-  const auto needless = [&](const Weighed& w) {
-    return request_.mode == PassiveMode::planned && speed(w) <= w.needless_m_s;
-  };
   plan.selections_weighed = static_cast<int>(weighed_.size());
-  const auto before = [&](const Weighed& a, const Weighed& b) {
-    if ((a.passive == blow.passive) != (b.passive == blow.passive)) return a.passive == blow.passive;
-    if (feasible(a) != feasible(b)) return feasible(a);
-    if (overloads(a) != overloads(b)) return overloads(b);
-    if (needless(a) != needless(b)) return needless(b);
-    if (a.load_ratio_per_n_s != b.load_ratio_per_n_s) return a.load_ratio_per_n_s < b.load_ratio_per_n_s;
-    return a.passive < b.passive;
+  std::vector<SelectionCandidate>& list = plan.selections;
+  if (!ranked_.empty()) {
+    const RankedSelection& best = ranked_.front();
+    for (const RankedSelection& r : ranked_) {
+      if (list.size() == kListed) return;
+      SelectionCandidate& c = list.emplace_back();
+      c.passive = r.passive;
+      c.model = r.model;
+      c.feasible = r.feasible;
+      c.load_ratio_per_n_s = r.peak_ratio_per_n_s;
+      c.impulse_n_s = r.impulse_n_s;
+      c.switch_lead_s = r.switch_lead_s;
+      c.passive_s = r.passive_s;
+      if (&r == &best) {
+        c.note = "chosen";
+      } else if (!r.feasible && !(r.peak_ratio > 0.0)) {
+        c.note = "would not hit";
+      } else if (!r.feasible) {
+        const JointDescription& joint = robot_.joints[at(r.heaviest)];
+        c.note = fmt::format("{} would carry {:.1f} Nm, repeated peak allows {:.1f} Nm", joint.name, r.heaviest_nm,
+                             joint.transmission.repeated_peak_nm);
+      } else if (r.peak_ratio_per_n_s <= (1.0 + kTie) * best.peak_ratio_per_n_s) {
+        c.note = "no lighter, and not fewer joints passive";
+      } else {
+        c.note = fmt::format("loads {:.2f} times the best", r.peak_ratio_per_n_s / best.peak_ratio_per_n_s);
+      }
+    }
+  }
+  // By the instant: all there is to say with the equations as printed, and of selections that could not be taken.
+  const auto known = [&](const Weighed& w) {
+    return std::any_of(ranked_.begin(), ranked_.end(), [&](const auto& r) { return r.passive == w.passive; });
   };
-  const auto listed = weighed_.begin() + static_cast<std::ptrdiff_t>(std::min(kListed, weighed_.size()));
-  std::partial_sort(weighed_.begin(), listed, weighed_.end(), before);
-  const Weighed best = weighed_.front();
-  for (auto w = weighed_.begin(); w != listed; ++w) {
-    SelectionCandidate& c = plan.selections.emplace_back();
-    c.passive = w->passive;
-    c.feasible = feasible(*w);
-    c.overloads_active = overloads(*w);
-    c.needless = needless(*w);
-    c.load_ratio_per_n_s = w->load_ratio_per_n_s;
-    c.impulse_n_s = w->impulse_n_s_per_m_s * speed(*w);
-    if (w->passive == blow.passive) {
+  std::vector<const Weighed*> others;
+  for (const Weighed& w : weighed_) {
+    if (!known(w)) others.push_back(&w);
+  }
+  const double chosen_ratio = blow.chosen.load_ratio_per_n_s;
+  const auto before = [&](const Weighed* a, const Weighed* b) {
+    if ((a->passive == blow.passive) != (b->passive == blow.passive)) return a->passive == blow.passive;
+    if (a->load_ratio_per_n_s != b->load_ratio_per_n_s) return a->load_ratio_per_n_s < b->load_ratio_per_n_s;
+    return a->passive < b->passive;
+  };
+  const std::size_t room = std::min(kListed - list.size(), others.size());
+  std::partial_sort(others.begin(), others.begin() + static_cast<std::ptrdiff_t>(room), others.end(), before);
+  for (std::size_t k = 0; k < room; ++k) {
+    const Weighed& w = *others[k];
+    const double speed = blow.speed_m_s / blow.wanted_speed_m_s * w.wanted_m_s;
+    SelectionCandidate& c = list.emplace_back();
+    c.passive = w.passive;
+    c.note = why_not(w, blow);
+    c.feasible = c.note.empty();
+    c.load_ratio_per_n_s = w.load_ratio_per_n_s;
+    c.impulse_n_s = w.impulse_n_s_per_m_s * speed;
+    if (!c.feasible) continue;
+    if (w.passive == blow.passive) {
       c.note = "chosen";
-    } else if (!c.feasible && w->allowed_m_s > 0.0) {
-      const JointLoad& joint = blow.loads[at(w->limiting_joint)];
-      c.note = fmt::format("{} would carry {:.3f} N m s, repeated peak allows {:.3f}",
-                           robot_.joints[at(w->limiting_joint)].name,
-                           joint.limits.repeated_nm_s * speed(*w) / w->allowed_m_s, joint.limits.repeated_nm_s);
-    } else if (!c.feasible) {
-      c.note = std::isfinite(w->impulse_n_s_per_m_s)
-                   ? fmt::format("{} would fall too far", robot_.joints[at(w->limiting_joint)].name)
-                   : "the arm could not yield";
-    } else if (c.overloads_active && !overloads(best)) {
-      c.note = "an active joint would carry more than rated";
-    } else if (c.needless && !needless(best)) {
+    } else if (!ranked_.empty()) {
       c.note = "a joint would be passive without need";
-    } else if (c.load_ratio_per_n_s <= (1.0 + kTie) * best.load_ratio_per_n_s) {
-      c.note = "no lighter, and not fewer joints passive";
     } else {
-      c.note = fmt::format("loads {:.2f} times the best", c.load_ratio_per_n_s / best.load_ratio_per_n_s);
+      c.note = fmt::format("loads {:.2f} times the chosen one, by the instant", w.load_ratio_per_n_s / chosen_ratio);
     }
   }
 }
@@ -684,12 +798,23 @@ std::optional<Obstacle> Planner::build_at_speed(const Blow& blow, StrikePlan& pl
   return why;
 }
 
-/// Trajectories of a blow; slower if they ask too much of the joints. Returns why not.
+/// Trajectories of a blow and its selection; slower if they ask too much of the joints. Returns why not.
 std::optional<std::string> Planner::build(Blow& blow, StrikePlan& plan) {
   std::optional<std::string> first;
+  weigh(blow, blow.speed_m_s / blow.wanted_speed_m_s);  // another pose may have been weighed since
   while (blow.feasible) {
-    const auto why = build_at_speed(blow, plan);
-    if (!why) return std::nullopt;
+    auto why = build_at_speed(blow, plan);
+    if (!why) why = settle_selection(blow, plan);
+    if (!why) {
+      // The selection may need another speed for the penetration that is wanted.
+      const double speed = blow.speed_m_s / blow.wanted_speed_m_s * blow.chosen.wanted_m_s;
+      if (std::abs(speed - blow.speed_m_s) <= 1e-9 * speed) return std::nullopt;
+      blow.speed_m_s = speed;
+      blow.wanted_speed_m_s = blow.chosen.wanted_m_s;
+      blow.qd = blow.unit * speed;
+      why = build_at_speed(blow, plan);
+      if (!why) return std::nullopt;
+    }
     if (!first) first = why->sentence;
     if (!why->slower_helps) break;
     weigh(blow, kSlowDown * blow.speed_m_s / blow.wanted_speed_m_s);
@@ -721,37 +846,42 @@ double Planner::weight_force(const Blow& blow) const {
   return mobility > 0.0 ? std::max(-per_force.dot(limp) / mobility, 0.0) : 0.0;
 }
 
-void Planner::time_the_switch(const Blow& blow, StrikePlan& plan) const {
+/// When `passive` is let go of before contact, and for how long. `fall` as falls() says.
+Planner::SwitchTimes Planner::switch_times(const Blow& blow, std::uint32_t passive, const JointVector& delta_qd,
+                                           const JointVector& fall, Duration contact_time) const {
   double blend_s = 0.0;
   double longest_s = kInfinity;
   for (int i = 0; i < dof(); ++i) {
-    if ((blow.passive >> i & 1U) == 0) continue;
+    if ((passive >> i & 1U) == 0) continue;
     const ControlDescription& control = robot_.joints[at(i)].control;
     blend_s = std::max(blend_s, control.passive_blend_s);
     longest_s = std::min(longest_s, control.max_passive_s);
   }
+  SwitchTimes times;
   // The blend must be over, and a knot has gone by, before contact.
-  const double lead_s =
-      std::min(std::max(robot_.task.switch_lead_s, blend_s + grid_.seconds()), plan.contact_time.seconds());
-  plan.switch_time = plan.contact_time - seconds(lead_s);
+  times.lead_s = std::min(std::max(robot_.task.switch_lead_s, blend_s + grid_.seconds()), contact_time.seconds());
 
   // Long enough for a contact longer than expected, short enough that no passive joint leaves its travel: it keeps the
   // speed of the swing up to contact, the predicted speed after it, and falls by what gravity exceeds friction.
-  const ChainPose pose = chain_.pose(blow.pose.q);
-  const JointVector g = chain_.gravity(pose);
-  const JointMatrix M = chain_.mass_matrix(pose);
-  double passive_s = std::min(lead_s + 1.6 * request_.contact_duration_s + 0.02, longest_s);
+  times.passive_s = std::min(times.lead_s + 1.6 * request_.contact_duration_s + 0.02, longest_s);
   for (int i = 0; i < dof(); ++i) {
-    if ((blow.passive >> i & 1U) == 0) continue;
-    const JointDescription& joint = robot_.joints[at(i)];
-    const double left_nm = joint.friction.static_nm * (1.0 - joint.control.passive_compensation);
-    const double fall = std::max(std::abs(g[i]) - left_nm, 0.0) / (M(i, i) + joint.reflected_inertia_kg_m2());
-    const double before = std::abs(blow.qd[i]) * lead_s;
-    const double after = std::abs(blow.qd[i] + blow.prediction.delta_qd[i]);
-    const auto travel = [&](double t) { return before + after * std::max(t - lead_s, 0.0) + 0.5 * fall * t * t; };
-    while (passive_s > lead_s && travel(passive_s) > 0.8 * joint.control.max_passive_travel_rad) passive_s -= 1e-3;
+    if ((passive >> i & 1U) == 0) continue;
+    const double before = std::abs(blow.qd[i]) * times.lead_s;
+    const double after = std::abs(blow.qd[i] + delta_qd[i]);
+    const double most = 0.8 * robot_.joints[at(i)].control.max_passive_travel_rad;
+    const auto travel = [&](double t) {
+      return before + after * std::max(t - times.lead_s, 0.0) + 0.5 * fall[i] * t * t;
+    };
+    while (times.passive_s > times.lead_s && travel(times.passive_s) > most) times.passive_s -= 1e-3;
   }
-  plan.passive_time = blow.passive == 0 ? Duration{} : seconds(passive_s);
+  return times;
+}
+
+void Planner::time_the_switch(const Blow& blow, StrikePlan& plan) const {
+  const SwitchTimes times =
+      switch_times(blow, blow.passive, blow.prediction.delta_qd, falls(chain_.pose(blow.pose.q)), plan.contact_time);
+  plan.switch_time = plan.contact_time - seconds(times.lead_s);
+  plan.passive_time = blow.passive == 0 ? Duration{} : seconds(times.passive_s);
 }
 
 StrikePlan Planner::plan() {
@@ -797,7 +927,6 @@ StrikePlan Planner::plan() {
   }
 
   Blow& blow = blows[chosen];
-  weigh(blow, blow.speed_m_s / blow.wanted_speed_m_s);  // the selections below are of this pose
   plan.q_impact = blow.pose.q;
   plan.qd_impact = blow.qd;
   detail(blow);
@@ -822,8 +951,8 @@ StrikePlan Planner::plan() {
   plan.measure = request_.measure;
   plan.measure_value = blow.measure;
   time_the_switch(blow, plan);
-  if (request_.formulation == Formulation::corrected) {
-    plan.blow = predict(StrikeArm(robot_), predict_input(plan, request_.contact), PredictionModel::resolved);
+  if (arm_) {
+    plan.blow = predict(*arm_, predict_input(plan, request_.contact), PredictionModel::resolved);
     if (plan.blow.feasible && plan.blow.approaching) plan.impulse_n_s = plan.blow.impulse_n_s;
   }
 
@@ -865,18 +994,25 @@ StrikePlan Planner::plan() {
     }
   }
 
+  // Over the contact if that was predicted, else of the instant.
+  const bool over_contact = plan.blow.feasible && plan.blow.approaching;
+  const auto share = [&](int i) {
+    const JointLoad& load = plan.loads[at(i)];
+    return over_contact ? plan.blow.peak_torque_nm[i] / robot_.joints[at(i)].transmission.rated_nm
+                        : load.planned_nm_s / load.limits.rated_nm_s;
+  };
   int heaviest = 0;
-  const auto share = [&](int i) { return plan.loads[at(i)].planned_nm_s / plan.loads[at(i)].limits.rated_nm_s; };
   for (int i = 1; i < dof(); ++i) {
     if (share(i) > share(heaviest)) heaviest = i;
   }
   plan.why = fmt::format(
       "Of {} pose{} this one serves best; at {:.3f} m/s{} the blow gives {:.2f} N s, passive: {}, and loads {} most, "
-      "with "
-      "{:.0f} % of what its rated torque allows.",
+      "with {}{:.0f} % of {}.",
       blows.size(), blows.size() == 1 ? "" : "s", plan.speed_m_s,
       plan.speed_reduction < 0.999 ? fmt::format(" ({:.0f} % of the speed wanted)", 100.0 * plan.speed_reduction) : "",
-      plan.impulse_n_s, names(robot_, plan.passive), robot_.joints[at(heaviest)].name, 100.0 * share(heaviest));
+      plan.impulse_n_s, names(robot_, plan.passive), robot_.joints[at(heaviest)].name,
+      over_contact ? fmt::format("{:.1f} Nm at its peak, ", plan.blow.peak_torque_nm[heaviest]) : "",
+      100.0 * share(heaviest), over_contact ? "its rated torque" : "what its rated torque allows");
   return plan;
 }
 
@@ -1032,14 +1168,14 @@ const char* describe(StrikeMeasure measure) noexcept {
 std::string report(const RobotDescription& robot, const StrikePlan& plan) {
   const int n = robot.dof();
   std::string text = plan.why + "\n\n";
-  text += fmt::format("Poses, best first ({}; N s: of the instant alone)\n", describe(plan.measure));
-  text += fmt::format("  #  {:>10}  speed m/s  blow N s  back-swing rad  swing s  S (P passive)\n",
+  text += fmt::format("Poses, best first, by the impulse of an instant ({})\n", describe(plan.measure));
+  text += fmt::format("  #  {:>10}  speed m/s  impulse N s  back-swing rad  swing s  S (P passive)\n",
                       fmt::format("{}", unit_of(plan.measure)));
   std::size_t shown = 0;
   for (const PoseCandidate& c : plan.poses) {
     if (++shown > kPosesShown) break;
     if (c.feasible) {
-      text += fmt::format("{:>3}  {:>10.4g}  {:>9.3f}  {:>8.2f}  {:>14.2f}  {:>7.2f}  {}\n", shown, c.measure,
+      text += fmt::format("{:>3}  {:>10.4g}  {:>9.3f}  {:>11.2f}  {:>14.2f}  {:>7.2f}  {}\n", shown, c.measure,
                           c.speed_m_s, c.impulse_n_s, c.back_swing_rad, c.swing_s, letters(c.passive, n));
     } else {
       text += fmt::format("{:>3}  not feasible\n", shown);
@@ -1062,12 +1198,16 @@ std::string report(const RobotDescription& robot, const StrikePlan& plan) {
                         load.held_nm_s, load.planned_nm_s, load.limits.rated_nm_s, load.limits.repeated_nm_s,
                         passive ? "passive" : "active");
   }
-  text += fmt::format("\nSelections weighed: {} (N s: of the instant alone)\n", plan.selections_weighed);
+  const auto over_contact = std::count_if(plan.selections.begin(), plan.selections.end(),
+                                          [](const auto& c) { return c.model != PredictionModel::instant; });
+  text += fmt::format("\nSelections weighed: {}; load: largest {} over rated, per N s on the nail\n",
+                      plan.selections_weighed, over_contact > 0 ? "peak torque predicted over the contact" : "impulse");
+  text += "  S  load, 1/(N s)  blow, N s  predicted by\n";
   shown = 0;
   for (const SelectionCandidate& c : plan.selections) {
     if (++shown > kSelectionsShown) break;
-    text += fmt::format("  {}  {:.4f} 1/(N s), {:.2f} N s: {}\n", letters(c.passive, n), c.load_ratio_per_n_s,
-                        c.impulse_n_s, c.note);
+    text += fmt::format("  {}  {:.4f}  {:.2f}  {}: {}\n", letters(c.passive, n), c.load_ratio_per_n_s, c.impulse_n_s,
+                        describe(c.model), c.note);
   }
   if (plan.selections_weighed > static_cast<int>(kSelectionsShown)) {
     text += fmt::format("  and {} more\n", plan.selections_weighed - static_cast<int>(kSelectionsShown));
@@ -1083,8 +1223,10 @@ std::string report(const RobotDescription& robot, const StrikePlan& plan) {
   text += fmt::format(
       "  face       {:.3f} m/s along the nail, {:.3f} m/s sideways, tilt {:.2f} deg, {:.2f} mm off centre\n",
       plan.speed_m_s, plan.lateral_speed_m_s, plan.tilt_rad * kDegrees, 1e3 * plan.lateral_m);
-  text += fmt::format("  blow       {:.2f} N s with what presses during contact, effective mass {:.2f} kg\n",
-                      plan.impulse_n_s, plan.effective_mass_kg);
+  text += fmt::format("  blow       {:.2f} N s in all: what drive and weight press while in contact is in it\n",
+                      plan.impulse_n_s);
+  text += fmt::format("             {:.2f} N s of the instant alone, effective mass {:.2f} kg\n",
+                      plan.prediction.impulse_n_s, plan.effective_mass_kg);
   text += fmt::format("  follow     {:.1f} mm past the head{}{}\n", 1e3 * plan.follow_through_m,
                       plan.follow_through_note.empty() ? "" : ": ", plan.follow_through_note);
   text += fmt::format("  return     {:.2f} s\n", (plan.strike.duration() - plan.stop_time).seconds());

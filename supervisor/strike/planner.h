@@ -18,10 +18,9 @@ namespace mrr::sup {
 
 /// Which joints may go passive.
 enum class PassiveMode : std::uint8_t {
-  planned,   ///< as the prediction says: of the joints that would carry more than rated if held, the lightest set
-  never,     ///< all stay active: the comparison
-  always,    ///< all go passive
-  lightest,  ///< any set, whatever loads the joints least, even where none needs it
+  planned,  ///< of all sets the one with the lowest predicted peaks, see docs/strike.md
+  never,    ///< all stay active: the comparison
+  always,   ///< all go passive
 };
 
 /// By what poses are ranked (theory: measures).
@@ -71,13 +70,16 @@ struct JointLoad {
 
 /// One selection of passive joints that was weighed at the chosen pose and speed.
 struct SelectionCandidate {
-  std::uint32_t passive = 0;        ///< bit i = joint i (joint order)
-  bool feasible = false;            ///< all loads at most repeated peak, no passive joint falls out of its travel
-  bool overloads_active = false;    ///< a joint left active would carry more than its rated limit
-  bool needless = false;            ///< a joint is passive that even held would carry no more than its rated limit
-  double load_ratio_per_n_s = 0.0;  ///< max_i load/rated per newton second
-  double impulse_n_s = 0.0;
-  std::string note;  ///< why it lost, or "chosen"
+  std::uint32_t passive = 0;  ///< bit i = joint i (joint order)
+  /// By what the next two were predicted: resolved for the lightest, finite-time for the others, instant with the
+  /// reference's equations as printed.
+  PredictionModel model = PredictionModel::instant;
+  bool feasible = false;            ///< nothing above a repeated peak, no passive joint falls out of its travel
+  double load_ratio_per_n_s = 0.0;  ///< largest load over rated per newton second: of peaks; instant: of impulses
+  double impulse_n_s = 0.0;         ///< on the nail
+  double switch_lead_s = 0.0;       ///< from the switch to the planned contact; not of the instant
+  double passive_s = 0.0;           ///< from the switch on, at most; not of the instant
+  std::string note;                 ///< why it lost, or "chosen"
 };
 
 /// One pose that was weighed.
@@ -112,10 +114,10 @@ struct StrikePlan {
   // Modes and loads.
   std::uint32_t passive = 0;  ///< bit i = joint i passive at impact (joint order, not selection bits)
   std::array<JointLoad, kMaxJoints> loads{};
-  ImpactPrediction prediction;     ///< as planned
-  double impulse_n_s = 0.0;        ///< predicted, as planned: of the instant, and what the weight presses meanwhile
-  Prediction blow;                 ///< of the resolved model, as planned; not feasible with `as_printed`
-  double weight_force_n = 0.0;     ///< of passive joints, on the nail along -normal while the contact lasts
+  ImpactPrediction prediction;  ///< as planned
+  double impulse_n_s = 0.0;     ///< predicted, as planned, over the contact: with what drive and weight press meanwhile
+  Prediction blow;              ///< of the resolved model, as planned; not feasible with `as_printed`
+  double weight_force_n = 0.0;  ///< of passive joints, on the nail along -normal while the contact lasts
   double effective_mass_kg = 0.0;  ///< 1/(n^T W n), as planned
   StrikeMeasure measure = StrikeMeasure::load_ratio;
   double measure_value = 0.0;

@@ -178,7 +178,7 @@ void HammerSession::learn() {
     }
     ContactReport blow = contact;
     blow.penetration_m = moved_m;
-    estimator_.learn(*plan_, blow);
+    if (options_.learn) estimator_.learn(*plan_, blow);
   }
   head_height_m_ = std::max(0.0, report.head_height_after_m);
   swings_.push_back(report);

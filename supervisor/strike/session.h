@@ -19,6 +19,7 @@ struct SessionOptions {
   Formulation formulation = Formulation::corrected;
   StrikeMeasure measure = StrikeMeasure::load_ratio;
   std::uint64_t seed = 1;
+  bool learn = true;             ///< false: every blow is planned as the first one, only the head's height is followed
   double largest_step_m = 0.02;  ///< no blow is asked to drive the nail further than this
   Duration bring_up_timeout = milliseconds(8000);
 };

@@ -1,6 +1,6 @@
 // How well blows are predicted: seeded strikes all over the workspace, each run in the emulator with the real modules,
 // supervisor and wire, each predicted by every model. One row per strike and joint, as CSV;
-// scripts/strike_table makes the table of docs/impulse_prediction.md from it.
+// strike_table.py makes the table of docs/impulse_prediction.md from it.
 
 #include <fmt/format.h>
 #include <fmt/ostream.h>
@@ -26,6 +26,7 @@ using namespace mrr;  // NOLINT: a program of its own
 
 constexpr std::array kBoards{"hardwood", "styrofoam"};
 constexpr double kLeastShare = 0.2;        // of the largest contact's impulse: less is a graze before the blow
+constexpr double kLeastLever_m = 0.02;     // a joint with less is not moved by a blow
 constexpr std::size_t kTruthPerJoint = 3;  // impulse, peak, before
 
 struct Strike {
@@ -40,8 +41,9 @@ struct Strike {
 
 std::size_t at(int i) { return static_cast<std::size_t>(i); }
 
-/// Draws a strike; none if the planner refuses it.
-std::optional<Strike> draw(const RobotDescription& robot, int number, bool nominal = false) {
+/// Draws a strike; none if the planner refuses it. `selection`: these joints passive instead of those drawn.
+std::optional<Strike> draw(const RobotDescription& robot, int number, bool nominal = false,
+                           std::optional<std::uint32_t> selection = {}) {
   Random random(static_cast<std::uint64_t>(number) + 1, 77);
   Strike s;
   s.number = number;
@@ -72,7 +74,7 @@ std::optional<Strike> draw(const RobotDescription& robot, int number, bool nomin
   for (int i = 0; i < n; ++i) {
     if (random.uniform() < 0.5) passive |= 1U << i;
   }
-  s.request.passive = passive;
+  s.request.passive = selection.value_or(passive);
   // From a little above the nail, so that the approach is a short one.
   const sup::JointVector limits = sup::JointVector::Ones(n);
   const sup::JointVector away = -sup::unit_strike_velocity(chain.jacobian(q), normal, limits);
@@ -338,6 +340,9 @@ int main(int argc, char** argv) {
   app.add_option("--archive", archive_path, "keeps emulated strikes from run to run");
   bool nominal = false;
   app.add_flag("--nominal", nominal, "robot and nail are exactly as described, sensors without noise");
+  bool every_selection = false;
+  app.add_flag("--every-selection", every_selection,
+               "every strike with each set of passive joints, those without a lever left active");
   int trace = -1;
   app.add_option("--trace", trace, "emulate this strike alone and write its motion to --out");
   CLI11_PARSE(app, argc, argv);
@@ -355,16 +360,32 @@ int main(int argc, char** argv) {
   int counted = 0;
   std::map<std::string, int> others;
   int number = 0;
-  for (; counted < strikes; ++number) {
-    const std::optional<Strike> s = draw(robot, number, nominal);
+  // The sets of passive joints that a strike is made with; none: as drawn.
+  const auto selections_of = [&](int strike) {
+    std::vector<std::optional<std::uint32_t>> sets;
+    if (!every_selection) return std::vector<std::optional<std::uint32_t>>{std::nullopt};
+    const std::optional<Strike> s = draw(robot, strike, nominal, 0U);
+    if (!s) return sets;
+    const sup::JointVector lever = arm.chain.jacobian(s->plan.q_impact).topRows<3>().transpose() * s->plan.normal;
+    std::uint32_t without = 0;
+    for (int i = 0; i < robot.dof(); ++i) {
+      if (!(std::abs(lever[i]) > kLeastLever_m)) without |= 1U << i;
+    }
+    for (std::uint32_t mask = 0; mask < 1U << robot.dof(); ++mask) {
+      if ((mask & without) == 0) sets.emplace_back(mask);
+    }
+    return sets;
+  };
+  const auto enter = [&](std::optional<std::uint32_t> selection) {
+    const std::optional<Strike> s = draw(robot, number, nominal, selection);
     if (!s) {
       ++others["refused by the planner"];
-      continue;
+      return;
     }
     const Truth truth = archive.get(robot_name, *s);
     if (truth.outcome != "hit") {
       ++others[truth.outcome];
-      continue;
+      return;
     }
     ++counted;
     const std::vector<Model> models = predict_all(arm, *s);
@@ -400,6 +421,9 @@ int main(int argc, char** argv) {
       }
       fmt::print(out, "\n");
     }
+  };
+  for (; counted < strikes; ++number) {
+    for (const auto& selection : selections_of(number)) enter(selection);
   }
   fmt::print("{} strikes of {} drawn", counted, number);
   for (const auto& [why, count] : others) fmt::print("; {}: {}", why, count);

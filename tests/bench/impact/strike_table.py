@@ -80,6 +80,64 @@ def table(rows, models):
             cell([blow_error(r, m) for r in group]) for m in models) + " |"
 
 
+def classes(rows, model):
+    """What the errors of one model are made of."""
+    moved = {(r["robot"], r["joint"]) for r in rows if abs(r["lever"]) > 0.02}
+    rows = [r for r in rows if (r["robot"], r["joint"]) in moved]
+    ended = lambda r: abs(r[f"{model}_t"] - r["contact_s"]) <= 0.2 * r["contact_s"]
+    off = lambda r: abs(r[f"{model}_before"] - r["true_before"]) > 0.1 * r["rated"]
+    groups = [
+        ("all", lambda r: True),
+        ("no joint passive", lambda r: r["mask"] == 0),
+        ("some joint passive", lambda r: r["mask"] != 0),
+        ("speed below 0.3 of the limit", lambda r: r["speed_share"] < 0.3),
+        ("speed at least 0.3 of the limit", lambda r: r["speed_share"] >= 0.3),
+        ("contact time predicted within 20 %", ended),
+        ("contact longer than predicted by more", lambda r: not ended(r) and r["contact_s"] > r[f"{model}_t"]),
+        ("contact shorter than predicted by more", lambda r: not ended(r) and r["contact_s"] < r[f"{model}_t"]),
+        ("ended as predicted, torque at first touch within 10 % of rated", lambda r: ended(r) and not off(r)),
+        ("ended as predicted, torque at first touch further off", lambda r: ended(r) and off(r)),
+        ("true value below the floor (impulse)",
+         lambda r: abs(r["true_impulse"]) < FLOOR * r["rated"] * r["contact_s"]),
+    ]
+    worst = sorted(rows, key=lambda r: -error(r, model, "impulse"))[:len(rows) // 20]
+    yield f"| strikes, {model} | impulse | blow | peak | share of the worst 5 % (impulse) |"
+    yield "| --- | --- | --- | --- | --- |"
+    for name, test in groups:
+        group = [r for r in rows if test(r)]
+        cells = [cell([error(r, model, what) for r in group]) for what in ("impulse", "blow", "peak")]
+        share = sum(map(test, worst)) / max(len(worst), 1)
+        yield f"| {name} ({len(group)}) | " + " | ".join(cells) + f" | {share:.0%} |"
+
+
+def choices(rows, models):
+    """What each model's choice of passive joints costs in truth: rows of strike_campaign --every-selection."""
+    strikes = {}
+    for r in rows:
+        blow = strikes.setdefault((r["robot"], r["strike"]), {}).setdefault(r["mask"], {"true": 0.0})
+        blow["true"] = max(blow["true"], r["true_peak"] / r["rated"] / r["impulse"])
+        for m in models:
+            load = r[f"{m}_peak"] if m in ("finite", "resolved") else abs(r[f"{m}_blow"])
+            P = r[f"{m}_P"]
+            blow[m] = max(blow.get(m, 0.0), load / r["rated"] / P if P > 0 else math.inf)
+    strikes = [s for s in strikes.values() if len(s) > 1]
+    yield f"| {len(strikes)} strikes, chosen by | the truly best | load over the best, median / 95th | largest |"
+    yield "| --- | --- | --- | --- |"
+    for m in ["nobody: no joint passive", "nobody: all passive", *models]:
+        costs = []
+        for s in strikes:
+            best = min(blow["true"] for blow in s.values())
+            if m == "nobody: no joint passive":
+                mask = min(s)
+            elif m == "nobody: all passive":
+                mask = max(s)
+            else:
+                mask = min(s, key=lambda k: (s[k][m], k))
+            costs.append(s[mask]["true"] / best)
+        right = sum(c < 1.02 for c in costs) / len(costs)
+        yield f"| {m} | {right:.0%} | {quantile(costs, .5):.2f} / {quantile(costs, .95):.2f} | {max(costs):.1f} |"
+
+
 def picture(rows, models, path):
     """Cumulative distributions of the errors as SVG."""
     width, height, left, top = 360, 260, 50, 24
@@ -122,6 +180,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("csv", nargs="+")
     parser.add_argument("--picture")
+    parser.add_argument("--choices", action="store_true", help="what each model's choice of passive joints costs")
     parser.add_argument("--floor", type=float, default=FLOOR, help="share of the rated torque (default %(default)s)")
     parser.add_argument("--models", default=",".join(MODELS))
     options = parser.parse_args()
@@ -129,7 +188,13 @@ def main():
     models = options.models.split(",")
     rows = load(options.csv)
     print(f"Median / 95th percentile of |error|, %. Floor {FLOOR:.0%} of rated.\n")
+    if options.choices:
+        print("\n".join(choices(rows, models)))
+        return
     print("\n".join(table(rows, models)))
+    for model in models[-1:]:
+        print()
+        print("\n".join(classes(rows, model)))
     if options.picture:
         picture(rows, models, options.picture)
 
