@@ -26,11 +26,13 @@ struct Watch {
     b.each_tick = [this, &b](const ModuleStatus&) {
       worst = std::max(worst, std::abs(b.joint.link_q() - from));
       if (b.actuator.brake_release && !b.actuator.power_stage_enabled) order = false;
+      if (b.joint.truth.brake_released[1] && !b.actuator.power_stage_enabled) held = false;
     };
   }
   double from;
   double worst = 0.0;
   bool order = true;  ///< never released without power
+  bool held = true;   ///< never without power before the brake holds
 };
 
 TEST(Brake, OpensUnderTorqueAndTheJointStays) {
@@ -40,7 +42,7 @@ TEST(Brake, OpensUnderTorqueAndTheJointStays) {
   b.run(0.5);
   EXPECT_GT(std::abs(b.joint.motor_torque_nm()), 8.0) << "the torque must carry the arm";
   EXPECT_LT(w.worst, kDrop);
-  EXPECT_TRUE(w.order);
+  EXPECT_TRUE(w.order && w.held);
 }
 
 TEST(Brake, ClosesBeforeTheTorqueGoes) {
@@ -55,7 +57,7 @@ TEST(Brake, ClosesBeforeTheTorqueGoes) {
     b.run(1.0);
     EXPECT_FALSE(b.actuator.power_stage_enabled) << word;
     EXPECT_LT(w.worst, kDrop) << word;
-    EXPECT_TRUE(w.order);
+    EXPECT_TRUE(w.order && w.held) << word;
   }
 }
 
@@ -72,6 +74,7 @@ TEST(Brake, HoldsWhenTheSupervisorVanishes) {
     b.run(1.5);
     EXPECT_EQ(b.status().state, DriveState::fault);
     EXPECT_FALSE(b.actuator.power_stage_enabled);
+    EXPECT_TRUE(w.order && w.held);
     EXPECT_LT(w.worst, kDrop) << (sync_too ? "with SYNC" : "heartbeat alone");
   }
 }

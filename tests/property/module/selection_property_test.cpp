@@ -49,6 +49,8 @@ class SwitchWatch {
       ASSERT_TRUE(tau >= low && tau <= high) << "overshoot: " << tau << " between " << start_ << " and " << target_;
       ASSERT_GE((tau - last_torque_) * (target_ - start_), -1e-6) << "not monotonic";
       ASSERT_EQ(double{s.passive_torque_nm}, target_) << "the goal moved during the blend";
+      ASSERT_NEAR(step, std::abs(target_ - start_) / static_cast<double>(c_.passive.blend / c_.tick), 1e-4)
+          << "not in equal steps";
       if (s.blend_ended_at >= began_) {
         ASSERT_LE(s.blend_ended_at - began_, c_.passive.blend);
         ASSERT_NEAR(tau, target_, 1e-6);

@@ -57,6 +57,17 @@ TEST_P(ControlQuality, StandsStillWithASlowTorqueSensor) {
   }
 }
 
+// Told that the sensor has 200 Hz, the module does not know better: the torque swings, the joint hardly.
+TEST_P(ControlQuality, ASlowTorqueSensorThatIsBelievedFastIsBounded) {
+  QualityCase c = nominal();
+  c.torque_bandwidth_hz = 50.0;
+  c.believed_bandwidth_hz = 200.0;
+  const Standing s = stand(c, 30.0);
+  ASSERT_TRUE(s.completed);
+  EXPECT_LE(s.peak_to_peak_mrad, 1.0);
+  EXPECT_LE(s.last_torque_peak_to_peak_nm, 15.0);
+}
+
 TEST_P(ControlQuality, TracksWithAnotherPlantThanItKnows) {
   const auto tracked = [&](auto change) {
     QualityCase c = nominal();
