@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstdlib>
 
+#include "cli/calibrate.h"
 #include "cli/completion.h"
 #include "cli/doctor.h"
 #include "cli/exit_status.h"
@@ -31,6 +32,7 @@ std::unique_ptr<CLI::App> make_app(int& status) {
   add_predict_command(*app, status);
   add_map_command(*app, status);
   add_robot_commands(*app, status);
+  add_calibrate_command(*app, status);
   add_doctor_command(*app, status);
   add_completion_command(*app, status);
   add_man_command(*app, status);

@@ -45,14 +45,6 @@ rpc::Client connect(const Arguments& arguments) {
   return rpc::Client(rpc::socket_path(arguments.socket, "supervisor.sock"), "mrr_supervisor");
 }
 
-/// A name as it is; a number as a number.
-Json joint_parameter(const std::string& joint) {
-  int number = 0;
-  const auto [end, error] = std::from_chars(joint.data(), joint.data() + joint.size(), number);
-  if (error == std::errc() && end == joint.data() + joint.size()) return number;
-  return joint;
-}
-
 void pause(double period_s) {
   const auto end = Clock::now() + std::chrono::duration<double>(period_s);
   while (!interrupted() && Clock::now() < end) std::this_thread::sleep_for(20ms);
@@ -67,8 +59,8 @@ void stop_quietly(rpc::Client& client) {
   }
 }
 
-/// Sends a command and waits until it has ended. `moves`: Ctrl-C, and a wait that is too long, stop the robot. `label`:
-/// before what is said when it is accepted or done.
+/// Sends a command and waits until it has ended, as await_command(). `label`: before what is said when it is accepted
+/// or done.
 int command(const Arguments& arguments, const std::string& method, const Json& params, bool moves,
             const std::string& label = {}) {
   catch_interrupts();
@@ -80,43 +72,13 @@ int command(const Arguments& arguments, const std::string& method, const Json& p
     fmt::print("{}{}: accepted\n", label, method);
     return kExitDone;
   }
-  const auto end = Clock::now() + std::chrono::duration<double>(arguments.timeout_s);
-  while (!interrupted()) {
-    // Events may be lost and commands may end before the subscription is seen: status is asked now and then as well.
-    std::string state;
-    std::string reason;
-    if (const auto event = client.next_event(200ms)) {
-      if (event->value("value", std::int64_t{-1}) != number) continue;
-      state = event->value("state", "");
-      reason = event->value("text", "");
-    } else {
-      const Json last = client.call("status").value("command", Json());
-      if (last.is_object() && last.value("number", std::int64_t{-1}) == number) {
-        state = last.value("state", "");
-        reason = last.value("reason", "");
-      } else if (last.is_object() && last.value("number", std::int64_t{-1}) > number) {
-        state = "failed";
-        reason = fmt::format("another client's {} took its place", last.value("method", "command"));
-      }
-    }
-    if (state == "done") {
-      fmt::print("{}{}: done\n", label, method);
-      return kExitDone;
-    }
-    if (state == "failed") {
-      fmt::print(stderr, "mrr: {} failed: {}\n", method, reason.empty() ? "no reason given" : reason);
-      return kExitNotDone;
-    }
-    if (Clock::now() >= end) {
-      if (moves) stop_quietly(client);
-      fmt::print(stderr, "mrr: {} has not ended within {:g} s{}; mrr status shows why\n", method, arguments.timeout_s,
-                 moves ? ", so the robot was stopped" : "");
-      return kExitNotDone;
-    }
+  const CommandEnd end = await_command(client, method, number, arguments.timeout_s, moves);
+  if (end.status == kExitDone) {
+    fmt::print("{}{}: done\n", label, method);
+  } else {
+    fmt::print(stderr, "mrr: {}\n", end.reason);
   }
-  if (moves) stop_quietly(client);
-  fmt::print(stderr, "mrr: interrupted; {}\n", moves ? "the robot was stopped" : method + " goes on");
-  return kExitInterrupted;
+  return end.status;
 }
 
 int show_status(const Arguments& arguments) {
@@ -235,6 +197,49 @@ int move(const Arguments& arguments) {
 }
 
 }  // namespace
+
+Json joint_parameter(const std::string& joint) {
+  int number = 0;
+  const auto [end, error] = std::from_chars(joint.data(), joint.data() + joint.size(), number);
+  if (error == std::errc() && end == joint.data() + joint.size()) return number;
+  return joint;
+}
+
+CommandEnd await_command(rpc::Client& client, const std::string& method, std::int64_t number, double timeout_s,
+                         bool moves, const std::function<void()>& meanwhile) {
+  const auto end = Clock::now() + std::chrono::duration<double>(timeout_s);
+  while (!interrupted()) {
+    // Events may be lost and commands may end before the subscription is seen: status is asked now and then as well.
+    std::string state;
+    std::string reason;
+    if (const auto event = client.next_event(200ms)) {
+      if (event->value("value", std::int64_t{-1}) != number) continue;
+      state = event->value("state", "");
+      reason = event->value("text", "");
+    } else {
+      const Json last = client.call("status").value("command", Json());
+      if (last.is_object() && last.value("number", std::int64_t{-1}) == number) {
+        state = last.value("state", "");
+        reason = last.value("reason", "");
+      } else if (last.is_object() && last.value("number", std::int64_t{-1}) > number) {
+        state = "failed";
+        reason = fmt::format("another client's {} took its place", last.value("method", "command"));
+      }
+    }
+    if (meanwhile) meanwhile();
+    if (state == "done") return {};
+    if (state == "failed") {
+      return {kExitNotDone, fmt::format("{} failed: {}", method, reason.empty() ? "no reason given" : reason)};
+    }
+    if (Clock::now() >= end) {
+      if (moves) stop_quietly(client);
+      return {kExitNotDone, fmt::format("{} has not ended within {:g} s{}; mrr status shows why", method, timeout_s,
+                                        moves ? ", so the robot was stopped" : "")};
+    }
+  }
+  if (moves) stop_quietly(client);
+  return {kExitInterrupted, fmt::format("interrupted; {}", moves ? "the robot was stopped" : method + " goes on")};
+}
 
 JointTarget parse_target(const std::string& text) {
   const auto bad = [&text](const char* why) {

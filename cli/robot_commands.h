@@ -3,6 +3,9 @@
 #pragma once
 
 #include <CLI/CLI.hpp>
+#include <cstdint>
+#include <functional>
+#include <string>
 
 #include "cli/exit_status.h"
 #include "common/rpc/client.h"
@@ -11,6 +14,19 @@ namespace mrr::cli {
 
 /// status, enable, disable, home, move, passive, active, stop, fault, reset, monitor, log.
 void add_robot_commands(CLI::App& app, int& status);
+
+/// How a command ended, and for people why not.
+struct CommandEnd {
+  int status = kExitDone;
+  std::string reason;
+};
+/// Waits until command `number` has ended; the client has subscribed to "command". `moves`: Ctrl-C, and a wait that is
+/// too long, stop the robot. `meanwhile` is called some times a second.
+[[nodiscard]] CommandEnd await_command(rpc::Client& client, const std::string& method, std::int64_t number,
+                                       double timeout_s, bool moves, const std::function<void()>& meanwhile = {});
+
+/// JOINT of a command: a name as it is; a number as a number.
+[[nodiscard]] rpc::Json joint_parameter(const std::string& joint);
 
 /// --socket of a command.
 void add_socket_option(CLI::App& command, std::string& socket);

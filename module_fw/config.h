@@ -18,6 +18,7 @@ struct SensingConfig {
   /// Double pole of the velocity observer. Below 1500 the compensator of a base joint rattles.
   float velocity_bandwidth_rad_s = 2500.0F;
   bool torque_sensor = true;
+  float torque_offset_nm = 0.0F;               ///< what the sensor reads too high
   float torque_full_scale_nm = 100.0F;         ///< at ADC 32767; sign: torque the transmission gives the link
   float torque_bandwidth_rad_s = 0.0F;         ///< of a sensor of first order; 0: as good as at once
   float current_full_scale_a = 40.0F;          ///< at ADC 32767 and at duty 32767
@@ -125,6 +126,7 @@ struct LimitsConfig {
 };
 
 struct HomingConfig {
+  std::int8_t method = -1;           ///< 6098h: -1 on the switch, 37 here
   float switch_position_rad = 0.0F;  ///< what the joint reads at the switch's edge
   int direction = -1;
   float fast_rad_s = 0.2F;
@@ -147,7 +149,10 @@ struct WatchdogConfig {
   std::uint8_t missing_knots = 2;                     ///< this many knot periods without a knot: controlled stop
   Duration supervisor_heartbeat = milliseconds(500);  ///< consumer heartbeat time (0x1016) at start
   Duration sync = milliseconds(50);                   ///< in mode 8: without SYNC for longer is a fault
-  Duration loop = milliseconds(10);                   ///< longer between two ticks, while led, is a fault
+  Duration torque_target = milliseconds(100);         ///< in mode 10: without a target for longer it holds
+  /// As 2131h: 0 report, 2 hold, 3 stop, 4 damp. Of knots, torque targets, heartbeat, SYNC, bus-off.
+  std::array<std::uint8_t, 5> reactions{2, 2, 3, 3, 3};
+  Duration loop = milliseconds(10);  ///< longer between two ticks, while led, is a fault
 };
 
 /// All of it. Copied from the robot description on a PC, or linked in as a table on a microcontroller.

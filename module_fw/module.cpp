@@ -209,6 +209,14 @@ void Module::fill_objects() noexcept {
   od_.limit_winding_temperature_degc = c.drive.max_winding_temperature_c;
   od_.watchdog_knot_periods = c.watchdog.missing_knots;
   od_.watchdog_sync_ms = static_cast<std::uint16_t>(to_ms(c.watchdog.sync));
+  od_.watchdog_torque_ms = static_cast<std::uint16_t>(to_ms(c.watchdog.torque_target));
+  od_.reaction_knots_lost = c.watchdog.reactions[0];
+  od_.reaction_torque_target_lost = c.watchdog.reactions[1];
+  od_.reaction_heartbeat_lost = c.watchdog.reactions[2];
+  od_.reaction_sync_lost = c.watchdog.reactions[3];
+  od_.reaction_bus_off = c.watchdog.reactions[4];
+  od_.torque_sensor_offset_nm = c.sensing.torque_offset_nm;
+  od_.homing_method = c.homing.method;
   od_.homing_switch_position_urad = micro_rad(c.homing.switch_position_rad);
   od_.homing_timeout_ms = to_ms(c.homing.timeout);
   od_.homing_max_travel_urad = micro(c.homing.max_travel_rad);
@@ -1067,6 +1075,7 @@ void Module::run_homing(Time now) noexcept {
       homing_.finish();
       status_.homed = true;
     } else {
+      homing_.configure(homing_by_method(config_.homing, od_.homing_method));
       homing_.start(now, sensing_.input(kInputHomeSwitch), sensing_.position_rad());
       const float acceleration = static_cast<float>(od_.homing_acceleration_mrad_s2) * 1e-3F;
       reference_.move_at(homing_.velocity_rad_s(), acceleration);
@@ -1107,8 +1116,9 @@ void Module::run_identification() noexcept {
     setup.load_measured = config_.sensing.torque_sensor;
     setup.coulomb_nm = config_.friction.coulomb_nm > 0.0F ? config_.friction.coulomb_nm : 1.0F;
     setup.travel_rad = od_.identification_travel_rad;
-    setup.lower_rad = config_.limits.lower_rad;
-    setup.upper_rad = config_.limits.upper_rad;
+    // A joint that does not know where it is has no room that is known.
+    setup.lower_rad = status_.homed ? config_.limits.lower_rad : sensing_.position_rad();
+    setup.upper_rad = status_.homed ? config_.limits.upper_rad : sensing_.position_rad();
     setup.speed_rad_s =
         limit(od_.identification_speed_rad_s, 0.0F, kIdentificationSpeed * config_.limits.velocity_rad_s);
     setup.acceleration_rad_s2 = acceleration;

@@ -16,7 +16,6 @@ namespace mrr::sup {
 namespace {
 
 constexpr std::int8_t kModePassive = -1;
-constexpr std::int8_t kModeHoming = 6;
 constexpr std::int64_t kKnotsAhead = 2;               // knot sent at SYNC k is latched at k+1 and reached at k+2
 constexpr Duration kListenFirst = milliseconds(150);  // for modules that boot together with the supervisor
 constexpr Duration kHeartbeatPeriod = milliseconds(50);
@@ -34,7 +33,9 @@ constexpr int kAstrayCycles = 3;
 /// A selection by hand that is not acknowledged by then is taken back.
 constexpr Duration kSelectTimeout = milliseconds(300);
 /// Beyond the module's own timeout, for stopping and the way back to set points.
-constexpr Duration kHomingGrace = milliseconds(3000);
+constexpr Duration kActionGrace = milliseconds(3000);
+constexpr Duration kIdentificationLimit = milliseconds(600'000);
+constexpr Duration kCalibrationLimit = milliseconds(30'000);
 constexpr Duration kCommandTimeout = milliseconds(8000);
 
 // Reports a fault, or fell silent.
@@ -79,6 +80,8 @@ const char* describe(Activity activity) noexcept {
       return "passive";
     case Activity::disabled:
       return "disabled";
+    case Activity::calibrating:
+      return "calibrating";
   }
   return "?";
 }
@@ -94,6 +97,7 @@ bool moves(Activity activity) noexcept {
     case Activity::moving:
     case Activity::homing:
     case Activity::passive:
+    case Activity::calibrating:
       return true;
     case Activity::bringing_up:
     case Activity::holding:
@@ -152,6 +156,12 @@ const char* describe(EventKind kind) noexcept {
       return "joint active";
     case EventKind::command_ended:
       return "command ended";
+    case EventKind::calibration_began:
+      return "calibration began";
+    case EventKind::calibration_progress:
+      return "calibration progress";
+    case EventKind::calibration_ended:
+      return "calibration ended";
   }
   return "?";
 }
@@ -214,6 +224,8 @@ const char* describe(CommandKind kind) noexcept {
       return "stop";
     case CommandKind::reset:
       return "reset";
+    case CommandKind::calibrate:
+      return "calibrate";
   }
   return "?";
 }
@@ -252,6 +264,8 @@ const char* describe(CommandFailure failure) noexcept {
       return "a joint stopped following its set points";
     case CommandFailure::joint_refused:
       return "a joint must not be used";
+    case CommandFailure::calibration_failed:
+      return "the calibration failed";
   }
   return "?";
 }
@@ -309,6 +323,7 @@ Supervisor::Supervisor(const RobotDescription& robot, const SupervisorConfig& co
     settings.configuration_hash = config.configuration_hash[at(i)];
     settings.rated_torque_nm = joint.transmission.rated_nm;
     settings.sync_period = sync_period_;
+    settings.heartbeat_timeout = seconds(joint.watchdog.heartbeat_s);
     nodes_[at(i)] = NodeProxy(settings);
   }
   reference_ = at_rest(JointVector::Zero(dof_));
@@ -380,6 +395,7 @@ void Supervisor::step(Time now, std::span<const can::ReceivedFrame> received, ca
     nodes_[at(i)].want_enabled(wanted_ && (((held_ | given_up_) >> static_cast<unsigned>(i)) & 1U) == 0);
     nodes_[at(i)].step(now, tx);
   }
+  if (calibration_.running()) calibration_.step(now, nodes_[at(acting_joint_)]);
   if (step_count_ == 0 || now - last_heartbeat_ >= kHeartbeatPeriod) {
     last_heartbeat_ = now;
     (void)tx.push_back(can::heartbeat_frame(can::kSupervisorNodeId, can::NmtState::operational));
@@ -456,6 +472,7 @@ void Supervisor::watch_nodes() noexcept {
     case Activity::moving:
     case Activity::homing:
     case Activity::passive:
+    case Activity::calibrating:
       if (failed) {
         enter_faulted();
       } else if (!all_follow() && activity_ == Activity::holding) {
@@ -482,9 +499,9 @@ void Supervisor::enter_faulted() noexcept {
     selection_ = Selection::none;
   }
   let_go_ = 0;
-  if (activity_ == Activity::homing) {
-    nodes_[at(homing_joint_)].stop_homing();
-    emit(EventKind::homing_ended, homing_joint_, static_cast<std::uint32_t>(nodes_[at(homing_joint_)].homing()));
+  if (activity_ == Activity::homing || activity_ == Activity::calibrating) {
+    stop_action();
+    tell_action_ended();
   }
   begin_motion(stopping_motion(), Activity::faulted);
   if (swing_open_) {
@@ -508,16 +525,23 @@ void Supervisor::recover_if_asked() noexcept {
 }
 
 // No set point leads that joint: it moves until it says that it is back in their mode.
-bool Supervisor::homing_now() const noexcept {
-  if (homing_joint_ < 0) return false;
-  const NodeProxy& node = nodes_[at(homing_joint_)];
-  return node.homing() == HomingState::running ||
-         (node.stage() == NodeStage::enabled && node.measured().mode_display == kModeHoming);
+bool Supervisor::acting_now() const noexcept { return acting_joint_ >= 0 && nodes_[at(acting_joint_)].acts(); }
+
+void Supervisor::stop_action() noexcept {
+  calibration_.stop(nodes_[at(acting_joint_)]);
+  nodes_[at(acting_joint_)].stop_action();
+}
+
+void Supervisor::tell_action_ended() noexcept {
+  const bool homes = activity_ == Activity::homing;
+  const ActionState state = homes ? nodes_[at(acting_joint_)].action() : calibration_.report().state;
+  emit(homes ? EventKind::homing_ended : EventKind::calibration_ended, acting_joint_,
+       static_cast<std::uint32_t>(state));
 }
 
 bool Supervisor::at_rest_now() const noexcept {
   if (activity_ == Activity::faulted) {
-    return sync_ < 0 || (motion_ended() && selection_ == Selection::none && !homing_now());
+    return sync_ < 0 || (motion_ended() && selection_ == Selection::none && !acting_now());
   }
   return !moves(activity_);
 }
@@ -582,26 +606,51 @@ Refusal Supervisor::home(int joint) noexcept {
     if (out_of_action(nodes_[at(i)].stage())) return Refusal::not_ready;
   }
   begin_command(CommandKind::home, joint);
-  nodes_[at(joint)].start_homing();
-  homing_joint_ = joint;
+  nodes_[at(joint)].start_action(kModeHoming);
+  acting_joint_ = joint;
   reference_ = at_rest(reference_.q);
   begin_motion(JointTrajectory(reference_), Activity::homing);
   emit(EventKind::homing_began, joint);
   return Refusal::none;
 }
 
+Refusal Supervisor::calibrate(int joint, const CalibrationSettings& settings) noexcept {
+  if (!is_joint(joint)) return Refusal::unknown_joint;
+  if (activity_ != Activity::holding || disable_wanted_) return Refusal::not_ready;
+  begin_command(CommandKind::calibrate, joint);
+  calibration_.start(joint, command_status_.number, settings, now_);
+  shown_progress_ = 0;
+  acting_joint_ = joint;
+  reference_ = at_rest(reference_.q);
+  begin_motion(JointTrajectory(reference_), Activity::calibrating);
+  emit(EventKind::calibration_began, joint, static_cast<std::uint32_t>(settings.kind));
+  return Refusal::none;
+}
+
 Refusal Supervisor::set_passive(int joint) noexcept {
   if (!is_joint(joint)) return Refusal::unknown_joint;
-  if ((activity_ != Activity::holding && activity_ != Activity::passive) || disable_wanted_) return Refusal::not_ready;
+  const bool ready = activity_ == Activity::holding || activity_ == Activity::passive || coming_back();
+  if (!ready || disable_wanted_) return Refusal::not_ready;
   if (nodes_[at(joint)].stage() != NodeStage::enabled) return Refusal::joint_unavailable;
   begin_command(CommandKind::passive, joint);
   let_go_ |= 1U << static_cast<unsigned>(joint);
   send_selection(let_go_, can::SelectionAction::now, now_);
-  if (activity_ == Activity::holding) {
+  if (activity_ != Activity::passive) {
     reference_ = at_rest(reference_.q);
     begin_motion(JointTrajectory(reference_), Activity::passive);
   }
   return Refusal::none;
+}
+
+// All are enabled, and those that were let go take over their own position: a matter of some SYNCs.
+bool Supervisor::coming_back() const noexcept {
+  if (activity_ != Activity::bringing_up || !wanted_ || sync_ < 0) return false;
+  for (int i = 0; i < dof_; ++i) {
+    const NodeMeasurement& measured = nodes_[at(i)].measured();
+    const bool homed = measured.error_or_limit != static_cast<std::uint16_t>(can::LimitCode::not_homed);
+    if (nodes_[at(i)].stage() != NodeStage::enabled || !measured.valid || !homed) return false;
+  }
+  return true;
 }
 
 Refusal Supervisor::set_active(int joint) noexcept {
@@ -647,30 +696,51 @@ void Supervisor::advance_let_go() noexcept {
 }
 
 void Supervisor::advance_homing() noexcept {
-  NodeProxy& node = nodes_[at(homing_joint_)];
-  const Duration limit = seconds(robot_.joints[at(homing_joint_)].homing.timeout_s) + kHomingGrace;
-  if (node.homing() == HomingState::running) {
-    if (now_ - activity_since_ > limit) node.stop_homing();
+  NodeProxy& node = nodes_[at(acting_joint_)];
+  const Duration limit = seconds(robot_.joints[at(acting_joint_)].homing.timeout_s) + kActionGrace;
+  if (node.action() == ActionState::running) {
+    if (now_ - activity_since_ > limit) node.stop_action();
     return;
   }
   // Set points lead again only once the module says that it is back in their mode.
-  if (node.measured().mode_display == kModeHoming) return;
-  emit(EventKind::homing_ended, homing_joint_, static_cast<std::uint32_t>(node.homing()));
+  if (node.acts()) return;
+  tell_action_ended();
   activity_ = Activity::bringing_up;
-  switch (node.homing()) {
-    case HomingState::attained:
+  switch (node.action()) {
+    case ActionState::attained:
       end_command_of(CommandKind::home, CommandFailure::none);
       break;
-    case HomingState::failed:
+    case ActionState::failed:
       end_command_of(CommandKind::home, CommandFailure::homing_failed);
       break;
-    case HomingState::none:
-    case HomingState::running:
-    case HomingState::aborted:
+    case ActionState::none:
+    case ActionState::running:
+    case ActionState::aborted:
       end_command_of(CommandKind::home,
                      now_ - activity_since_ > limit ? CommandFailure::timed_out : CommandFailure::stopped);
       break;
   }
+}
+
+void Supervisor::advance_calibration() noexcept {
+  const CalibrationReport& report = calibration_.report();
+  const bool short_one = report.settings.kind != CalibrationKind::friction;
+  const bool late = now_ - activity_since_ > (short_one ? kCalibrationLimit : kIdentificationLimit);
+  if (calibration_.running()) {
+    if (report.progress_percent != shown_progress_) {
+      shown_progress_ = report.progress_percent;
+      emit(EventKind::calibration_progress, acting_joint_, shown_progress_);
+    }
+    if (late) stop_action();
+    return;
+  }
+  if (nodes_[at(acting_joint_)].acts()) return;
+  tell_action_ended();
+  activity_ = Activity::bringing_up;
+  end_command_of(CommandKind::calibrate, report.state == ActionState::attained ? CommandFailure::none
+                                         : report.state == ActionState::failed ? CommandFailure::calibration_failed
+                                         : late                                ? CommandFailure::timed_out
+                                                                               : CommandFailure::stopped);
 }
 
 void Supervisor::begin_command(CommandKind kind, int joint) noexcept {
@@ -722,6 +792,7 @@ void Supervisor::advance_command() noexcept {
     case CommandKind::home:
     case CommandKind::move:
     case CommandKind::passive:
+    case CommandKind::calibrate:
       return;  // ended where they happen
     case CommandKind::enable:
       if (activity_ == Activity::holding) {
@@ -896,13 +967,14 @@ void Supervisor::stop_now() noexcept {
       begin_motion(stopping_motion(), Activity::stopping);
       break;
     case Activity::homing:
-      nodes_[at(homing_joint_)].stop_homing();
+    case Activity::calibrating:
+      stop_action();
       break;
     case Activity::passive:
       take_back();
       break;
     case Activity::faulted:
-      if (homing_joint_ >= 0) nodes_[at(homing_joint_)].stop_homing();
+      if (acting_joint_ >= 0) stop_action();
       break;
     case Activity::bringing_up:
     case Activity::holding:
@@ -944,6 +1016,9 @@ void Supervisor::advance_activity() noexcept {
       break;
     case Activity::homing:
       advance_homing();
+      break;
+    case Activity::calibrating:
+      advance_calibration();
       break;
     case Activity::passive:
       advance_let_go();

@@ -11,6 +11,7 @@
 #include "common/core/containers.h"
 #include "common/core/time.h"
 #include "common/robot/robot.h"
+#include "supervisor/master/calibration.h"
 #include "supervisor/master/node_proxy.h"
 #include "supervisor/model/chain.h"
 #include "supervisor/strike/contact_observer.h"
@@ -37,12 +38,13 @@ enum class Activity : std::uint8_t {
   swinging,
   resuming,  ///< passive joints come back
   returning,
-  stopping,  ///< a swing was aborted
-  faulted,   ///< a joint reports a fault or is lost; the others hold
-  moving,    ///< from rest to rest, as asked
-  homing,    ///< one joint looks for its switch, the others hold
-  passive,   ///< some joints were let go, the others hold
-  disabled,  ///< nobody is wanted enabled
+  stopping,     ///< a swing was aborted
+  faulted,      ///< a joint reports a fault or is lost; the others hold
+  moving,       ///< from rest to rest, as asked
+  homing,       ///< one joint looks for its switch, the others hold
+  passive,      ///< some joints were let go, the others hold
+  disabled,     ///< nobody is wanted enabled
+  calibrating,  ///< one joint calibrates itself, the others hold
 };
 [[nodiscard]] const char* describe(Activity activity) noexcept;
 /// A motion, or joints that are let go, is under way. Not so: a faulted robot, which may still be stopping.
@@ -68,10 +70,13 @@ enum class EventKind : std::uint8_t {
   disabled,
   motion_began,
   motion_ended,
-  homing_began,   ///< joint
-  homing_ended,   ///< joint, value: HomingState
-  joint_active,   ///< joint: back from passive
-  command_ended,  ///< joint, value: number of the command, detail: CommandFailure
+  homing_began,          ///< joint
+  homing_ended,          ///< joint, value: ActionState
+  joint_active,          ///< joint: back from passive
+  command_ended,         ///< joint, value: number of the command, detail: CommandFailure
+  calibration_began,     ///< joint, value: CalibrationKind
+  calibration_progress,  ///< joint, value: percent
+  calibration_ended,     ///< joint, value: ActionState
 };
 [[nodiscard]] const char* describe(EventKind kind) noexcept;
 
@@ -103,9 +108,9 @@ struct SwingOutcome {
   bool pulled = false;       ///< the switch was pulled before its armed time
   Time began;                ///< trajectory time zero, supervisor's clock
   Time planned_contact;
-  Time switch_effective;                            ///< armed for, supervisor's clock
-  std::array<Time, kMaxJoints> passive_seen{};      ///< SYNC at which the joint showed passive; ns < 0: never
-  std::array<double, kMaxJoints> peak_torque_nm{};  ///< joint torque sensors at the knot rate, during contact
+  Time switch_effective;                               ///< armed for, supervisor's clock
+  std::array<Time, kMaxJoints> passive_seen{};         ///< SYNC at which the joint showed passive; ns < 0: never
+  std::array<double, kMaxJoints> peak_torque_nm{};     ///< joint torque sensors at the knot rate, during contact
   std::array<double, kMaxJoints> axis_impulse_nm_s{};  ///< the same, summed over the contact; signed
 };
 
@@ -136,7 +141,7 @@ enum class Refusal : std::uint8_t {
 };
 [[nodiscard]] const char* describe(Refusal refusal) noexcept;
 
-enum class CommandKind : std::uint8_t { none, enable, disable, home, move, passive, active, stop, reset };
+enum class CommandKind : std::uint8_t { none, enable, disable, home, move, passive, active, stop, reset, calibrate };
 [[nodiscard]] const char* describe(CommandKind kind) noexcept;
 
 enum class CommandState : std::uint8_t { none, running, done, failed };
@@ -151,7 +156,8 @@ enum class CommandFailure : std::uint8_t {
   homing_failed,
   refused_by_joint,
   not_following,
-  joint_refused,  ///< it must not be used: another protocol or configuration
+  joint_refused,       ///< it must not be used: another protocol or configuration
+  calibration_failed,  ///< see Supervisor::calibration()
 };
 [[nodiscard]] const char* describe(CommandFailure failure) noexcept;
 
@@ -201,6 +207,10 @@ class Supervisor final : public RobotPort {
   [[nodiscard]] Refusal move(const JointTrajectory& motion) noexcept;
   /// Homing of one joint, the others hold. Accepted when nobody moves and the joint is enabled.
   [[nodiscard]] Refusal home(int joint) noexcept;
+  /// One joint calibrates itself, the others hold. Accepted only when holding.
+  [[nodiscard]] Refusal calibrate(int joint, const CalibrationSettings& settings) noexcept;
+  /// The last calibration, also while it goes on.
+  [[nodiscard]] const CalibrationReport& calibration() const noexcept { return calibration_.report(); }
   /// Let one more joint go passive now; it comes back by itself after its longest time or travel. Accepted when holding
   /// or when others are passive already.
   [[nodiscard]] Refusal set_passive(int joint) noexcept;
@@ -241,11 +251,15 @@ class Supervisor final : public RobotPort {
   void advance_command() noexcept;
   [[nodiscard]] bool only_refused_are_missing() const noexcept;
   void advance_homing() noexcept;
+  void advance_calibration() noexcept;
+  void stop_action() noexcept;
+  void tell_action_ended() noexcept;
   void advance_let_go() noexcept;
   void take_back() noexcept;
+  [[nodiscard]] bool coming_back() const noexcept;
   [[nodiscard]] bool is_joint(int joint) const noexcept { return joint >= 0 && joint < dof_; }
   [[nodiscard]] bool at_rest_now() const noexcept;
-  [[nodiscard]] bool homing_now() const noexcept;
+  [[nodiscard]] bool acting_now() const noexcept;
   [[nodiscard]] bool blow_over() const noexcept;
   [[nodiscard]] bool too_late_to_cancel() const noexcept;
   void close_swing() noexcept;
@@ -304,7 +318,9 @@ class Supervisor final : public RobotPort {
   std::uint32_t held_ = 0;      // joints that failed: not enabled again before recover()
   std::uint32_t given_up_ = 0;  // joints that were not enabled when bring-up failed: not before somebody asks again
   std::uint32_t let_go_ = 0;    // passive by set_passive()
-  int homing_joint_ = -1;
+  int acting_joint_ = -1;       // homes or calibrates, or did so last
+  CalibrationRun calibration_;
+  std::uint8_t shown_progress_ = 0;
   CommandStatus command_status_;
   std::uint16_t knot_sequence_ = 0;
   SwingProgram program_;

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <fstream>
 #include <limits>
 #include <numbers>
 
@@ -196,8 +197,10 @@ SensorsDescription read_sensors(const YamlReader& yaml, const JointDescription& 
   return s;
 }
 
-HomingDescription read_homing(const YamlReader& yaml, const JointLimits& limits) {
+HomingDescription read_homing(const YamlReader& yaml, const JointLimits& limits, bool absolute) {
   HomingDescription h;
+  h.method = yaml.choice<HomingMethod>("method", {{"switch", HomingMethod::on_switch}, {"here", HomingMethod::here}},
+                                       h.method);
   h.switch_position_rad = yaml.number("switch_position", Unit::angle, {limits.lower_rad, limits.upper_rad});
   h.direction = yaml.choice<int>("direction", {{"negative", -1}, {"positive", 1}});
   h.fast_rad_s = yaml.number("fast", Unit::angular_velocity, Range::positive(limits.velocity_rad_s));
@@ -208,7 +211,59 @@ HomingDescription read_homing(const YamlReader& yaml, const JointLimits& limits)
     yaml.fail("timeout",
               format("a search through the whole travel takes %.3g s; raise it, or the fast velocity", sweep_s));
   }
+  h.max_travel_rad = yaml.number("max_travel", Unit::angle, {0.0, 4.0 * kPi}, h.max_travel_rad);
+  h.max_torque_nm = yaml.number("max_torque", Unit::torque, {0.0, limits.torque_nm}, h.max_torque_nm);
+  if (yaml.has("index_position")) {
+    h.index_position_rad = yaml.number("index_position", Unit::angle, {limits.lower_rad, limits.upper_rad});
+    if (h.method == HomingMethod::here) {
+      yaml.fail("index_position",
+                "homing where the joint stands looks for no index; leave it out, or set method to switch");
+    }
+    // The joint goes on in the direction of the search.
+    if (!(h.direction * (*h.index_position_rad - h.switch_position_rad) >= 0.0)) {
+      yaml.fail("index_position", "it must lie beyond switch_position in the direction of the search");
+    }
+  } else {
+    (void)yaml.number("index_position", Unit::angle, Range::any(), 0.0);
+  }
+  if (h.method == HomingMethod::here && absolute) {
+    yaml.fail("method",
+              "a joint with an absolute encoder knows where it is; set it to switch, or encoder_absolute to false");
+  }
   return h;
+}
+
+using Reactions = std::vector<std::pair<std::string, SilenceReaction>>;
+
+WatchdogDescription read_watchdog(const YamlReader& yaml, const BusDescription& bus) {
+  const Reactions harmless = {
+      {"hold", SilenceReaction::hold}, {"stop", SilenceReaction::stop}, {"damp", SilenceReaction::damp}};
+  Reactions any = harmless;
+  any.insert(any.begin(), {"report", SilenceReaction::report});
+  WatchdogDescription w;
+  if (const auto knots = yaml.optional_section("knots")) {
+    w.missing_knots = static_cast<int>(knots->integer("missing", 1, 50, w.missing_knots));
+    w.knots = knots->choice("reaction", harmless, w.knots);
+  }
+  if (const auto torque = yaml.optional_section("torque_target")) {
+    w.torque_target_s = torque->number("timeout", Unit::time, {0.0, 10.0}, w.torque_target_s);
+    w.torque_target = torque->choice("reaction", harmless, w.torque_target);
+  }
+  if (const auto heartbeat = yaml.optional_section("heartbeat")) {
+    // The supervisor says it every 50 ms.
+    w.heartbeat_s = heartbeat->number("timeout", Unit::time, {0.15, 10.0}, w.heartbeat_s);
+    w.heartbeat = heartbeat->choice("reaction", any, w.heartbeat);
+  }
+  if (const auto sync = yaml.optional_section("sync")) {
+    w.sync_s = sync->number("timeout", Unit::time, {0.0, 10.0}, w.sync_s);
+    w.sync = sync->choice("reaction", any, w.sync);
+    if (w.sync_s > 0.0 && !(w.sync_s * bus.knot_rate_hz >= 2.0)) {
+      sync->fail("timeout", format("that is less than two SYNC periods of %g ms; raise it, or set 0 s to watch nothing",
+                                   1e3 / bus.knot_rate_hz));
+    }
+  }
+  if (const auto bus_off = yaml.optional_section("bus_off")) w.bus_off = bus_off->choice("reaction", any, w.bus_off);
+  return w;
 }
 
 /// A jerk limit that is not given lets a motion reach its acceleration limit in this time.
@@ -224,7 +279,17 @@ void read_joint(const YamlReader& yaml, JointDescription& joint, const BusDescri
       limits.number("jerk", Unit::angular_jerk, Range::positive(1e6), joint.limits.acceleration_rad_s2 / kRampS);
   joint.limits.following_error_rad = limits.number("following_error", Unit::angle, Range::positive(kPi));
   joint.limits.following_error_time_s = limits.number("following_error_time", Unit::time, {0.0, 10.0});
+  const JointLimits hard = joint.limits;
+  joint.limits.lower_rad = limits.number("lower", Unit::angle, {hard.lower_rad, hard.upper_rad}, hard.lower_rad);
+  joint.limits.upper_rad = limits.number("upper", Unit::angle, {hard.lower_rad, hard.upper_rad}, hard.upper_rad);
+  if (!(joint.limits.lower_rad < joint.limits.upper_rad)) {
+    limits.fail("upper", format("it must be above the lower limit of %g rad", joint.limits.lower_rad));
+  }
   joint.park_rad = yaml.number("park", Unit::angle, {joint.limits.lower_rad, joint.limits.upper_rad}, 0.0);
+  if (!(joint.park_rad >= joint.limits.lower_rad && joint.park_rad <= joint.limits.upper_rad)) {
+    yaml.fail(format("without 'park' the joint rests at 0 rad, outside its limits of %g to %g rad; give it",
+                     joint.limits.lower_rad, joint.limits.upper_rad));
+  }
 
   const YamlReader motor = yaml.section("motor");
   joint.transmission = read_transmission(yaml.section("transmission"));
@@ -258,7 +323,14 @@ void read_joint(const YamlReader& yaml, JointDescription& joint, const BusDescri
 
   joint.control = read_control(yaml.section("control"), joint, bus);
   joint.sensors = read_sensors(yaml.section("sensors"), joint);
-  joint.homing = read_homing(yaml.section("homing"), joint.limits);
+  joint.homing = read_homing(yaml.section("homing"), hard, joint.sensors.encoder_absolute);
+  if (const auto watchdog = yaml.optional_section("watchdog")) joint.watchdog = read_watchdog(*watchdog, bus);
+  if (const auto calibration = yaml.optional_section("calibration")) {
+    joint.torque_offset_nm = calibration->number("torque_offset", Unit::torque, {-1000.0, 1000.0}, 0.0);
+    if (!joint.sensors.torque_sensor && joint.torque_offset_nm != 0.0) {
+      calibration->fail("torque_offset", "the joint has no torque sensor; leave it out, or add sensors.torque_sensor");
+    }
+  }
   const YamlReader brake = yaml.section("brake");
   joint.brake.release_s = brake.number("release", Unit::time, {0.0, 2.0});
   joint.brake.engage_s = brake.number("engage", Unit::time, {0.0, 2.0});
@@ -326,20 +398,31 @@ void check_across(const RobotDescription& robot, const YamlReader& joints, const
   }
 }
 
-}  // namespace
+std::uint64_t hash_of_files(const std::filesystem::path& directory) {
+  std::uint64_t hash = 14695981039346656037ULL;  // FNV-1a
+  const auto add = [&hash](char c) { hash = (hash ^ static_cast<unsigned char>(c)) * 1099511628211ULL; };
+  for (const char* name : {"robot.urdf", "robot.yaml"}) {
+    std::ifstream file(directory / name, std::ios::binary);
+    for (char c = 0; file.get(c);) add(c);
+    add('\0');
+  }
+  return hash;
+}
 
-RobotDescription load_robot(const std::filesystem::path& directory) {
+RobotDescription read_robot(const std::filesystem::path& directory, const std::string* text) {
   std::error_code ec;
   if (!std::filesystem::is_directory(directory, ec)) {
     throw description_error(directory.string(),
                             "there is no such directory; give one that holds robot.urdf and robot.yaml");
   }
-  UrdfChain chain = read_urdf_chain(directory / "robot.urdf");
-  const YamlReader yaml = YamlReader::from_file(directory / "robot.yaml");
-
   RobotDescription robot;
-  robot.name = chain.name;
   robot.source = directory;
+  robot.source_hash = hash_of_files(directory);
+  UrdfChain chain = read_urdf_chain(directory / "robot.urdf");
+  const std::filesystem::path file = directory / "robot.yaml";
+  const YamlReader yaml = text == nullptr ? YamlReader::from_file(file) : YamlReader::from_text(*text, file.string());
+
+  robot.name = chain.name;
   robot.gravity_m_s2 = to_vector(yaml.numbers<3>("gravity", Unit::acceleration, {-100.0, 100.0}, {0.0, 0.0, -9.81}));
   robot.bus = read_bus(yaml.section("bus"));
   robot.hammer = read_hammer(yaml.section("hammer"), chain);
@@ -359,6 +442,27 @@ RobotDescription load_robot(const std::filesystem::path& directory) {
   check_across(robot, joints, yaml.section("task"));
   yaml.finish();
   return robot;
+}
+
+}  // namespace
+
+RobotDescription load_robot(const std::filesystem::path& directory) { return read_robot(directory, nullptr); }
+
+RobotDescription load_robot(const std::filesystem::path& directory, const std::string& yaml) {
+  return read_robot(directory, &yaml);
+}
+
+bool source_changed(const RobotDescription& robot) {
+  return !robot.source.empty() && hash_of_files(robot.source) != robot.source_hash;
+}
+
+std::string joint_words(const RobotDescription& robot, int joint) {
+  std::string text = "joint ";
+  text += std::to_string(joint + 1);
+  text += " (";
+  text += robot.joints[static_cast<std::size_t>(joint)].name;
+  text += ')';
+  return text;
 }
 
 }  // namespace mrr

@@ -96,7 +96,7 @@ struct SensorsDescription {
 };
 
 struct JointLimits {
-  double lower_rad = 0.0;  ///< from the URDF
+  double lower_rad = 0.0;  ///< soft: targets and set points stay within; default the URDF's
   double upper_rad = 0.0;
   double velocity_rad_s = 0.0;  ///< from the URDF
   double torque_nm = 0.0;       ///< from the URDF (effort): commanded joint-side torque
@@ -106,12 +106,42 @@ struct JointLimits {
   double following_error_time_s = 0.0;
 };
 
+enum class HomingMethod : std::uint8_t {
+  on_switch,  ///< searched for, and met slowly
+  here,       ///< where the joint stands is zero
+};
+
 struct HomingDescription {
+  HomingMethod method = HomingMethod::on_switch;
   double switch_position_rad = 0.0;  ///< where the home switch's edge is, and what the joint reads there
   int direction = -1;                ///< -1 or +1: which way the search starts
   double fast_rad_s = 0.0;
   double slow_rad_s = 0.0;
   double timeout_s = 0.0;
+  double max_travel_rad = 0.0;               ///< 0: not capped
+  double max_torque_nm = 0.0;                ///< beyond what the joint carries; 0: not capped
+  std::optional<double> index_position_rad;  ///< given: goes on to the encoder's index pulse, which is there
+};
+
+/// What a joint does about a source that fell silent; numbers as in object 2131h.
+enum class SilenceReaction : std::uint8_t {
+  report = 0,  ///< says so and goes on
+  hold = 2,    ///< controlled stop, holds under torque
+  stop = 3,    ///< controlled stop, brake, FAULT
+  damp = 4,    ///< works against its velocity, brake, FAULT
+};
+
+/// How long a source may be silent, and what then.
+struct WatchdogDescription {
+  int missing_knots = 2;  ///< in a row
+  SilenceReaction knots = SilenceReaction::hold;
+  double torque_target_s = 0.1;  ///< torque mode; 0: not watched
+  SilenceReaction torque_target = SilenceReaction::hold;
+  double heartbeat_s = 0.5;  ///< of the supervisor
+  SilenceReaction heartbeat = SilenceReaction::stop;
+  double sync_s = 0.05;  ///< while led by knots; 0: not watched
+  SilenceReaction sync = SilenceReaction::stop;
+  SilenceReaction bus_off = SilenceReaction::stop;
 };
 
 struct BrakeDescription {
@@ -133,6 +163,8 @@ struct JointDescription {
   SensorsDescription sensors;
   HomingDescription homing;
   BrakeDescription brake;
+  WatchdogDescription watchdog;
+  double torque_offset_nm = 0.0;   ///< what the torque sensor reads too high, as calibrated
   double park_rad = 0.0;           ///< where the joint rests, brake engaged, when the robot is off
   std::uint8_t node_id = 0;        ///< CANopen node id, 2-127
   std::uint8_t selection_bit = 0;  ///< bit in the 32-bit selection mask
@@ -182,6 +214,7 @@ struct TaskDescription {
 struct RobotDescription {
   std::string name;
   std::filesystem::path source;                   ///< the directory it was read from
+  std::uint64_t source_hash = 0;                  ///< of the files there, when they were read
   Eigen::Vector3d gravity_m_s2{0.0, 0.0, -9.81};  ///< base frame
   std::vector<JointDescription> joints;           ///< from base to tip
   HammerDescription hammer;
@@ -194,5 +227,11 @@ struct RobotDescription {
 /// Reads `directory`/robot.urdf and `directory`/robot.yaml, checks everything.
 /// Throws DescriptionError (common/robot/errors.h) naming file, line, key, value, unit and allowed range.
 [[nodiscard]] RobotDescription load_robot(const std::filesystem::path& directory);
+/// The same with `yaml` in place of what robot.yaml says: would it be usable?
+[[nodiscard]] RobotDescription load_robot(const std::filesystem::path& directory, const std::string& yaml);
+/// The files it was read from say something else by now, or are gone. False for one that came from no file.
+[[nodiscard]] bool source_changed(const RobotDescription& robot);
+/// A joint as messages name it: "joint 2 (shoulder)", counted from 1 at the base.
+[[nodiscard]] std::string joint_words(const RobotDescription& robot, int joint);
 
 }  // namespace mrr

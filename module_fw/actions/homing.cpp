@@ -10,6 +10,15 @@ constexpr std::int32_t kHardTicks = 20;  // breaking loose takes a moment of mor
 
 }  // namespace
 
+HomingConfig homing_by_method(HomingConfig config, std::int8_t method) noexcept {
+  const bool index = method == 4 || method == 6;
+  const bool positive = method == 4 || method == 20;
+  if (!index && !positive && method != 22) return config;
+  config.direction = positive ? 1 : -1;
+  config.index = index;
+  return config;
+}
+
 void Homing::start(Time now, bool on_switch, float position_rad) noexcept {
   from_rad_ = position_rad;
   hard_ticks_ = 0;

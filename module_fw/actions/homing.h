@@ -9,6 +9,10 @@
 
 namespace mrr::fw {
 
+/// CiA 402 methods on a home switch that is met in the positive (20) or the negative direction (22), or on the index
+/// pulse beyond it (4, 6). Any other method: as configured.
+[[nodiscard]] HomingConfig homing_by_method(HomingConfig config, std::int8_t method) noexcept;
+
 /// The switch is closed from its edge on in the direction of the search.
 class Homing {
  public:

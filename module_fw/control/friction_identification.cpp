@@ -10,11 +10,13 @@ constexpr float kLeastRoom_rad = 0.08F;    // to either side
 constexpr float kSettle = 0.3F;            // share of a motor turn before a slow pass counts
 constexpr float kOnSpeed = 0.1F;           // share of the speed within which it is reached
 constexpr float kTurnSpeed_rad_s = 0.15F;  // from it on the Stribeck effect is over, and a turn can be averaged
-constexpr float kSpread = 0.25F;           // of the speed, rms
-constexpr float kNoise_rad_s = 3e-3F;      // of the velocity reading, rms
+constexpr float kBentFrom_rad_s = 0.01F;
+constexpr float kSpread = 0.25F;       // of the speed, rms
+constexpr float kNoise_rad_s = 3e-3F;  // of the velocity reading, rms
 constexpr int kTurnTicks = 12;
 constexpr int kLeastTicks = 40;
 constexpr float kTurnWeight = 0.25F;
+constexpr float kLoadRidge = 1e-4F;  // passes that all lie about one place say nothing of slope and curvature
 constexpr float kSlowestDecay = 20.0F;
 constexpr float kCoarseFactor = 1.35F;
 constexpr float kFineFactor = 1.06F;
@@ -32,6 +34,32 @@ float root(float x) noexcept {
   float r = x > 1.0F ? x : 1.0F;
   for (int i = 0; i < 24; ++i) r = 0.5F * (r + x / r);
   return r;
+}
+
+// Cholesky. Only the lower half of A is read; x is the right-hand side, and then the solution.
+template <std::size_t N>
+bool solve_symmetric(std::array<std::array<float, N>, N>& A, std::array<float, N>& x) noexcept {
+  for (std::size_t i = 0; i < N; ++i) {
+    for (std::size_t j = 0; j <= i; ++j) {
+      float sum = A[i][j];
+      for (std::size_t m = 0; m < j; ++m) sum -= A[i][m] * A[j][m];
+      if (i != j) {
+        A[i][j] = sum / A[j][j];
+      } else {
+        if (!(sum > 0.0F)) return false;
+        A[i][i] = root(sum);
+      }
+    }
+  }
+  for (std::size_t i = 0; i < N; ++i) {
+    for (std::size_t m = 0; m < i; ++m) x[i] -= A[i][m] * x[m];
+    x[i] /= A[i][i];
+  }
+  for (std::size_t i = N; i-- > 0;) {
+    for (std::size_t m = i + 1; m < N; ++m) x[i] -= A[m][i] * x[m];
+    x[i] /= A[i][i];
+  }
+  return true;
 }
 
 }  // namespace
@@ -69,6 +97,13 @@ void FrictionIdentification::start(const Setup& setup, float position_rad) noexc
   begin_pass();
 }
 
+// The fastest for its turns; where the Stribeck effect bends the curve, thrice.
+int FrictionIdentification::passes(int level) const noexcept {
+  if (level == kLevels - 1) return 2 * kRepetitions;
+  const float speed = slowest_ * power(ratio_, level);
+  return speed > kBentFrom_rad_s && speed < kTurnSpeed_rad_s ? 6 : 2;
+}
+
 void FrictionIdentification::begin_pass() noexcept {
   at_speed_ = false;
   steady_ = {};
@@ -83,7 +118,7 @@ std::uint8_t FrictionIdentification::progress_percent() const noexcept {
   float left = 0.0F;
   float all = 0.0F;
   for (int k = 0; k < kLevels; ++k) {
-    const float time = power(1.0F / ratio_, k);
+    const float time = static_cast<float>(passes(k)) * power(1.0F / ratio_, k);
     all += time;
     if (k >= level_) left += time;
   }
@@ -96,6 +131,8 @@ void FrictionIdentification::close(Average& average, float last_velocity, float 
     Point p = average.sum;
     p.velocity *= share;
     p.velocity_squared *= share;
+    p.position *= share;
+    p.position_squared *= share;
     p.current *= share;
     p.load *= share;
     p.acceleration = (last_velocity - average.first_velocity) / (static_cast<float>(average.n - 1) * setup_.dt_s);
@@ -111,6 +148,9 @@ void FrictionIdentification::close(Average& average, float last_velocity, float 
 void FrictionIdentification::collect(const Sample& s) noexcept {
   const auto add = [&](Average& to) {
     if (to.n == 0) to.first_velocity = s.velocity_rad_s;
+    const float position = (s.position_rad - centre_rad_) / half_span_rad_;
+    to.sum.position += position;
+    to.sum.position_squared += position * position;
     to.sum.velocity += s.velocity_rad_s;
     to.sum.velocity_squared += s.velocity_rad_s * s.velocity_rad_s;
     to.sum.current += s.current_a;
@@ -156,20 +196,47 @@ void FrictionIdentification::update(const Sample& sample) noexcept {
   const bool enough = at_speed_ && direction_ * (sample.position_rad - from_rad_) > (1.0F + kSettle) * motor_turn();
   if (!(beyond >= half_span_rad_ || (slow && enough))) return;
 
-  if (steady_.n >= kLeastTicks) close(steady_, steady_.first_velocity, 1.0F);
+  if (steady_.n >= kLeastTicks) close(steady_, sample.velocity_rad_s, 1.0F);
   begin_pass();
   direction_ = -direction_;
-  const int passes = level_ == kLevels - 1 ? 2 * kRepetitions : 2;
-  if (++pass_ < passes) return;
+  if (++pass_ < passes(level_)) return;
   pass_ = 0;
   if (++level_ < kLevels) {
     speed_ = slowest_ * power(ratio_, level_);
     return;
   }
+  if (setup_.load_measured) smooth_load();
   fitting_ = true;
   candidate_ = 0;
   best_ = {};
   if (points_.size() < 2 * kUnknowns) state_ = State::no_fit;
+}
+
+// The load of the passes by the parabola through them, and by what is left of acceleration in them.
+void FrictionIdentification::smooth_load() noexcept {
+  constexpr std::size_t kN = 4;
+  const auto row_of = [](const Point& p) {
+    return std::array<float, kN>{1.0F, p.position, p.position_squared, p.acceleration};
+  };
+  std::array<std::array<float, kN>, kN> A{};
+  std::array<float, kN> x{};
+  const auto is_pass = [](const Point& p) { return p.weight >= 1.0F; };
+  for (const Point& p : points_) {
+    if (!is_pass(p)) continue;
+    const std::array<float, kN> row = row_of(p);
+    for (std::size_t i = 0; i < kN; ++i) {
+      x[i] += row[i] * p.load;
+      for (std::size_t j = 0; j <= i; ++j) A[i][j] += row[i] * row[j];
+    }
+  }
+  for (std::size_t i = 0; i < kN; ++i) A[i][i] += kLoadRidge;
+  if (!solve_symmetric(A, x)) return;
+  for (Point& p : points_) {
+    if (!is_pass(p)) continue;
+    const std::array<float, kN> row = row_of(p);
+    p.load = 0.0F;
+    for (std::size_t i = 0; i < kN; ++i) p.load += x[i] * row[i];
+  }
 }
 
 // Least squares for a given f_tau. Unknowns, all of order one: torque constants over their nominal
@@ -210,31 +277,10 @@ FrictionIdentification::Solution FrictionIdentification::solve(float decay) cons
     A[i][i] += ridge;
     g[i] += ridge * kPrior[i];
   }
-  // Cholesky.
   Solution solution;
-  for (std::size_t i = 0; i < kN; ++i) {
-    for (std::size_t j = 0; j <= i; ++j) {
-      float sum = A[i][j];
-      for (std::size_t m = 0; m < j; ++m) sum -= A[i][m] * A[j][m];
-      if (i != j) {
-        A[i][j] = sum / A[j][j];
-      } else {
-        if (!(sum > 0.0F)) return solution;
-        A[i][i] = root(sum);
-      }
-    }
-  }
-  std::array<float, kN>& x = solution.x;
-  for (std::size_t i = 0; i < kN; ++i) {
-    float sum = g[i];
-    for (std::size_t m = 0; m < i; ++m) sum -= A[i][m] * x[m];
-    x[i] = sum / A[i][i];
-  }
-  for (std::size_t i = kN; i-- > 0;) {
-    float sum = x[i];
-    for (std::size_t m = i + 1; m < kN; ++m) sum -= A[m][i] * x[m];
-    x[i] = sum / A[i][i];
-  }
+  solution.x = g;
+  if (!solve_symmetric(A, solution.x)) return solution;
+  const std::array<float, kUnknowns>& x = solution.x;
   // The cost anew from the residuals: as a difference of large sums it would be rounding.
   float cost = 0.0F;
   for (const Point& p : points_) {

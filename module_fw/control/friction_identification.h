@@ -17,6 +17,8 @@ namespace mrr::fw {
 /// at least one motor turn, so that what varies with the motor's angle cancels.
 ///   K(i) i - load - B a = s [f_c + (f_s - f_c) exp(-f_tau v^2) + b |v|],  s = sgn v, K by the sign of i.
 /// Linear in all but f_tau, which is searched for, one candidate a tick.
+/// At constant speed the load is gravity's, a smooth function of the position: a parabola through all passes stands for
+/// it, which a torque sensor that wanders meanwhile hardly bends.
 class FrictionIdentification {
  public:
   /// 0x2170:01
@@ -77,6 +79,7 @@ class FrictionIdentification {
 
   struct Point {
     float velocity = 0.0F, velocity_squared = 0.0F, acceleration = 0.0F, current = 0.0F, load = 0.0F, weight = 0.0F;
+    float position = 0.0F, position_squared = 0.0F;  ///< from the centre, shares of the span; of passes
   };
   struct Average {
     Point sum;
@@ -89,9 +92,11 @@ class FrictionIdentification {
   };
 
   [[nodiscard]] float motor_turn() const noexcept { return 2.0F * kPi / setup_.gear_ratio; }
+  [[nodiscard]] int passes(int level) const noexcept;
   void begin_pass() noexcept;
   void collect(const Sample& sample) noexcept;
   void close(Average& average, float last_velocity, float weight) noexcept;
+  void smooth_load() noexcept;
   void fit_step() noexcept;
   void finish() noexcept;
   [[nodiscard]] Solution solve(float decay) const noexcept;

@@ -47,7 +47,13 @@ int main(int argc, char** argv) {
       app.add_flag("--lockstep", lockstep,
                    "Be the clock: wait for everybody in every millisecond, as fast as the machine goes (default)");
   app.add_flag("--realtime", realtime, "Run on the wall clock and wait for nobody")->excludes(l);
-  app.add_option("--seed", options.seed, "Noise and tolerances; 0: all nominal")->capture_default_str();
+  app.add_option("--seed", options.seed, "Noise and tolerances; 0: all nominal")
+      ->check([](const std::string& text) {
+        const bool digits = !text.empty() && text.find_first_not_of("0123456789") == std::string::npos;
+        return digits && text.size() <= 18 ? std::string()
+                                           : fmt::format("{} is no whole number of at most 18 digits", text);
+      })
+      ->capture_default_str();
   app.add_flag("--expect-supervisor", options.expect_supervisor,
                "Lockstep: begin when the supervisor is there too (mrr_supervisor --plant)");
   app.add_option("--ticks", options.ticks, "Stop after this many milliseconds of simulated time (default: go on)")

@@ -61,6 +61,9 @@ Answer Cycle::handle(const Request& request) noexcept {
     case RequestKind::active:
       answer.refusal = supervisor_.set_active(request.joint);
       break;
+    case RequestKind::calibrate:
+      answer.refusal = supervisor_.calibrate(request.joint, request.calibration);
+      break;
     case RequestKind::execute:
       answer.refusal = supervisor_.execute(*request.plan);
       break;
@@ -94,6 +97,7 @@ void Cycle::publish() noexcept {
   state.reference = supervisor_.reference();
   state.outcome = supervisor_.outcome();
   state.command = supervisor_.command();
+  state.calibration = supervisor_.calibration();
   state.let_go = supervisor_.let_go();
   state.force_n = supervisor_.observer().force_n();
   state.bus = bus_.health();

@@ -34,13 +34,14 @@ class BusPort {
   [[nodiscard]] virtual BusHealth health() const noexcept = 0;
 };
 
-enum class RequestKind : std::uint8_t { enable, disable, stop, reset, home, move, passive, active, execute };
+enum class RequestKind : std::uint8_t { enable, disable, stop, reset, home, move, passive, active, calibrate, execute };
 
 struct Request {
   RequestKind kind{};
   int joint = -1;
   const JointTrajectory* motion = nullptr;  ///< of move; stays valid until it was answered
   const StrikePlan* plan = nullptr;         ///< of execute
+  CalibrationSettings calibration{};
 };
 
 struct Answer {
@@ -57,6 +58,7 @@ struct RobotState {
   JointMotion reference;
   SwingOutcome outcome;
   CommandStatus command;
+  CalibrationReport calibration;
   std::uint32_t let_go = 0;
   double force_n = 0.0;  ///< estimated at the face
   BusHealth bus;

@@ -5,6 +5,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <filesystem>
+#include <limits>
 
 #include "common/robot/errors.h"
 #include "supervisor/master/bus_budget.h"
@@ -24,6 +26,9 @@ constexpr std::size_t kKeptJobs = 8;
 constexpr std::size_t kKeptFaults = 64;
 constexpr double kDefaultSpeed = 0.2;
 constexpr double kBusFullShown_s = 1.0;
+constexpr double kLeastTravel_rad = 0.1;  // of friction identification, to either side
+constexpr double kClearance_m = 0.02;     // hammer over the nail's head while a joint swings to and fro
+constexpr double kNearNail_m = 0.25;
 
 const char* code_name(RpcError error) noexcept {
   switch (error) {
@@ -45,6 +50,8 @@ const char* code_name(RpcError error) noexcept {
       return "no_job";
     case RpcError::shutting_down:
       return "shutting_down";
+    case RpcError::stale_configuration:
+      return "stale_configuration";
   }
   return "?";
 }
@@ -112,6 +119,21 @@ Json percentiles(const LatencyHistogram& histogram) {
   return {{"p50", s.p50_us}, {"p99", s.p99_us}, {"p999", s.p999_us}, {"max", s.max_us}};
 }
 
+const char* calibration_state(ActionState state) noexcept {
+  switch (state) {
+    case ActionState::running:
+      return "running";
+    case ActionState::attained:
+      return "done";
+    case ActionState::failed:
+      return "failed";
+    case ActionState::none:
+    case ActionState::aborted:
+      return "stopped";
+  }
+  return "?";
+}
+
 /// The joints say more about it.
 bool of_a_joint(CommandFailure failure) noexcept {
   return failure == CommandFailure::timed_out || failure == CommandFailure::joint_fault ||
@@ -157,6 +179,7 @@ void Service::attach(rpc::Server& server) {
   plain("faults", [this] { return faults(); });
   plain("enable", [this] {
     require_no_job();
+    require_configuration();
     if (activity() == Activity::faulted) {
       refuse(RpcError::not_ready, fmt::format("{}; clear the cause and reset", why_not_ready()));
     }
@@ -164,6 +187,7 @@ void Service::attach(rpc::Server& server) {
   });
   plain("reset", [this] {
     require_no_job();
+    require_configuration();
     bool any = activity() == Activity::faulted;
     for (int i = 0; i < robot_.dof(); ++i) {
       const NodeStage stage = report(i).stage;
@@ -185,10 +209,15 @@ void Service::attach(rpc::Server& server) {
     server.on(name, [this, kind](const Params& params) {
       const int joint = joint_of(object_with(params, {"joint"}));
       require_no_job();
+      if (kind == RequestKind::home) require_configuration();
       return command(kind, joint);
     });
   }
   server.on("move", [this](const Params& params) { return move(object_with(params, {"positions_rad", "speed"})); });
+  server.on("calibrate", [this](const Params& params) {
+    return calibrate(object_with(params, {"joint", "what", "travel_rad", "speed_rad_s", "torque_nm"}));
+  });
+  plain("calibration", [this] { return calibration(); });
   server.on("hammer", [this](const Params& params) {
     return hammer(object_with(params, {"mode", "swings", "seed", "as_printed"}));
   });
@@ -240,8 +269,8 @@ int Service::joint_of(const Params& params) const {
 std::string Service::problem_of(int joint) const {
   const NodeReport node = report(joint);
   const JointDescription& description = robot_.joints[static_cast<std::size_t>(joint)];
-  std::string text =
-      fmt::format("joint {} (node {}) is {}", description.name, description.node_id, describe(node.stage));
+  std::string text = fmt::format("joint {} ({}, node {}) is {}", joint + 1, description.name, description.node_id,
+                                 describe(node.stage));
   if (node.stage == NodeStage::enabled && !node.measured.follows_knots()) {
     return fmt::format("{} but does not follow its set points: {}", text,
                        words(can::name_of_code(node.measured.error_or_limit)));
@@ -274,6 +303,30 @@ void Service::require_running() const {
                                          options_.plant));
 }
 
+std::string Service::reason_of(CommandFailure failure) const {
+  if (of_a_joint(failure)) return fmt::format("{}: {}", describe(failure), why_not_ready());
+  if (failure == CommandFailure::calibration_failed) {
+    const std::string why = why_failed(state_->calibration);
+    return why.empty() ? "the joint does not answer" : why;
+  }
+  return describe(failure);
+}
+
+void Service::require_configuration() const {
+  if (!source_changed(robot_)) return;
+  refuse(RpcError::stale_configuration,
+         fmt::format("the robot description in {} was changed after it was read here; restart modules and supervisor "
+                     "(scripts/robot down, scripts/robot up)",
+                     robot_.source.string()));
+}
+
+void Service::require_holding() const {
+  if (activity() == Activity::holding) return;
+  if (moves(activity())) refuse(RpcError::busy, fmt::format("the robot is {}; stop it first", describe(activity())));
+  if (activity() == Activity::disabled) refuse(RpcError::not_ready, "the robot is disabled; enable it first");
+  refuse(RpcError::not_ready, why_not_ready());
+}
+
 void Service::require_no_job() const {
   if (!jobs_.empty() && jobs_.back()->running) {
     refuse(RpcError::busy, fmt::format("job {} is under way; stop it first", jobs_.back()->number));
@@ -298,7 +351,7 @@ Json Service::command(RequestKind kind, int joint) {
     case Refusal::joint_unavailable:
       refuse(RpcError::joint_unavailable, fmt::format("{}; enable it first", problem_of(joint)));
     case Refusal::not_passive:
-      refuse(RpcError::nothing_to_do, fmt::format("joint {} was not let go", name_of(joint)));
+      refuse(RpcError::nothing_to_do, fmt::format("{} was not let go", words_of(joint)));
     case Refusal::wrong_start:
     case Refusal::not_usable:
       break;
@@ -325,7 +378,7 @@ Json Service::move(const Params& params) {
   const auto set = [&](int joint, const Params& value) {
     if (!value.is_number() || !std::isfinite(value.get<double>())) {
       refuse_parameter(
-          fmt::format("positions_rad: {} of joint {} is no number", value.dump().substr(0, 40), name_of(joint)));
+          fmt::format("positions_rad: {} of {} is no number", value.dump().substr(0, 40), words_of(joint)));
     }
     target[joint] = value.get<double>();
   };
@@ -339,11 +392,7 @@ Json Service::move(const Params& params) {
   }
   require_no_job();
   require_running();
-  if (activity() != Activity::holding) {
-    if (moves(activity())) refuse(RpcError::busy, fmt::format("the robot is {}; stop it first", describe(activity())));
-    if (activity() == Activity::disabled) refuse(RpcError::not_ready, "the robot is disabled; enable it first");
-    refuse(RpcError::not_ready, why_not_ready());
-  }
+  require_holding();
   JointTrajectory motion;
   try {
     motion = plan_move(robot_, cycle_.chain(), start, target, speed, seconds(1.0 / robot_.bus.knot_rate_hz));
@@ -373,6 +422,7 @@ Json Service::hammer(const Params& params) {
   }
   require_running();
   require_no_job();
+  require_configuration();
   if (moves(activity())) refuse(RpcError::busy, fmt::format("the robot is {}; stop it first", describe(activity())));
   if (activity() == Activity::faulted) {
     refuse(RpcError::not_ready, fmt::format("{}; clear the cause and reset", why_not_ready()));
@@ -392,6 +442,121 @@ Json Service::hammer(const Params& params) {
   log_.info(fmt::format("job {} begins: hammering, {} at most", jobs_.back()->number,
                         options.max_swings > 0 ? options.max_swings : robot_.task.max_swings));
   return {{"job", jobs_.back()->number}};
+}
+
+// The joint swings about where it stands: its limits and the nail must be far enough away.
+void Service::require_clearance(int joint, double travel_rad) const {
+  const JointDescription& description = robot_.joints[static_cast<std::size_t>(joint)];
+  JointVector q = reference_position();
+  const double here_rad = q[joint];
+  const double room_rad = std::min(description.limits.upper_rad - here_rad, here_rad - description.limits.lower_rad);
+  if (!(room_rad >= kLeastTravel_rad)) {
+    refuse(RpcError::outside_limits,
+           fmt::format("{} stands at {:.3f} rad, {:.3f} rad from a limit, and needs {:g} rad to either side; move it "
+                       "away from there first",
+                       words_of(joint), here_rad, room_rad, kLeastTravel_rad));
+  }
+  constexpr int kSteps = 20;
+  double least_m = std::numeric_limits<double>::infinity();
+  for (int k = -kSteps; k <= kSteps; ++k) {
+    q[joint] = here_rad + travel_rad * k / kSteps;
+    const Eigen::Vector3d from_nail_m = cycle_.chain().face_pose(q).position_m - robot_.task.nail_position_m;
+    const double height_m = from_nail_m.dot(robot_.task.normal);
+    const double beside_m = (from_nail_m - height_m * robot_.task.normal).norm();
+    if (beside_m < kNearNail_m) least_m = std::min(least_m, height_m - robot_.task.nail_height_m);
+  }
+  if (least_m >= kClearance_m) return;
+  refuse(RpcError::outside_limits,
+         fmt::format("{} would bring the hammer {} the nail's head within {:g} rad of where it stands; {:.0f} mm above "
+                     "it are needed: move the arm up, or give less travel",
+                     words_of(joint), least_m < 0.0 ? "below" : fmt::format("to {:.0f} mm above", least_m * 1e3),
+                     travel_rad, kClearance_m * 1e3));
+}
+
+Json Service::calibrate(const Params& params) {
+  const int joint = joint_of(params);
+  CalibrationSettings settings;
+  const auto what = params.find("what");
+  if (what != params.end()) {
+    const auto* const kind = std::find_if(kCalibrationKinds.begin(), kCalibrationKinds.end(), [&](CalibrationKind k) {
+      return what->is_string() && what->get<std::string>() == describe(k);
+    });
+    if (kind == kCalibrationKinds.end()) {
+      refuse_parameter(fmt::format("what is {}; give friction, torque-zero or brake", what->dump().substr(0, 40)));
+    }
+    settings.kind = *kind;
+  }
+  const auto set = [&](const char* key, float& value, CalibrationKind kind, double lo, double hi, const char* unit) {
+    const auto it = params.find(key);
+    if (it == params.end()) return;
+    if (settings.kind != kind) refuse_parameter(fmt::format("{} is of {} only; leave it out", key, describe(kind)));
+    const double given = it->is_number() ? it->get<double>() : std::nan("");
+    if (!(given >= lo && given <= hi)) {
+      refuse_parameter(fmt::format("{} is {}; give {:g} to {:g} {}", key, it->dump().substr(0, 40), lo, hi, unit));
+    }
+    value = static_cast<float>(given);
+  };
+  set("travel_rad", settings.travel_rad, CalibrationKind::friction, kLeastTravel_rad, 3.0, "rad");
+  set("speed_rad_s", settings.speed_rad_s, CalibrationKind::friction, 0.1, 10.0, "rad/s");
+  const JointDescription& description = robot_.joints[static_cast<std::size_t>(joint)];
+  set("torque_nm", settings.torque_nm, CalibrationKind::brake, 0.1, description.limits.torque_nm, "Nm");
+  if (settings.kind == CalibrationKind::torque_zero && !description.sensors.torque_sensor) {
+    refuse(RpcError::nothing_to_do, fmt::format("{} has no torque sensor", words_of(joint)));
+  }
+  require_running();
+  require_no_job();
+  require_configuration();
+  require_holding();
+  if (settings.kind == CalibrationKind::friction) {
+    require_clearance(joint, double{settings.travel_rad});
+  } else if (settings.kind == CalibrationKind::torque_zero) {
+    settings.load_nm = static_cast<float>(cycle_.chain().gravity(reference_position())[joint]);
+  }
+  const Answer answer = ask({.kind = RequestKind::calibrate, .joint = joint, .calibration = settings});
+  if (answer.refusal != Refusal::none)
+    refuse(RpcError::not_ready, fmt::format("{}; try again", describe(answer.refusal)));
+  return {{"command", answer.command}};
+}
+
+Json Service::calibration() const {
+  const CalibrationReport& report = state_->calibration;
+  if (report.joint < 0) refuse(RpcError::no_job, "nothing was calibrated yet; begin with calibrate");
+  const bool ended = report.state != ActionState::running;
+  const bool found = ended && report.has_result;
+  const CalibrationKind kind = report.settings.kind;
+  const auto only = [&](CalibrationKind wanted, const Json& value) { return kind == wanted ? value : Json(nullptr); };
+  const auto direction = [&](std::size_t way) {
+    const auto& f = report.friction[way];
+    return Json{{"coulomb_nm", number(double{f[0]})},
+                {"static_nm", number(double{f[1]})},
+                {"stribeck_decay_s2_rad2", number(double{f[2]})},
+                {"viscous_nm_s_rad", number(double{f[3]})}};
+  };
+  const bool fitted = found && kind == CalibrationKind::friction && report.points > 0;
+  Json friction = nullptr;
+  if (fitted) {
+    friction = {{"positive", direction(0)},
+                {"negative", direction(1)},
+                {"torque_constant_positive_nm_a", number(double{report.torque_constant_nm_a[0]})},
+                {"torque_constant_negative_nm_a", number(double{report.torque_constant_nm_a[1]})},
+                {"residual_nm", number(double{report.residual_nm})},
+                {"points", report.points}};
+  }
+  const bool failed = ended && report.state != ActionState::attained;
+  return {{"command", report.command},
+          {"joint", name_of(report.joint)},
+          {"what", describe(kind)},
+          {"state", calibration_state(report.state)},
+          {"reason", !failed                                ? ""
+                     : report.state == ActionState::aborted ? "it was stopped"
+                                                            : reason_of(CommandFailure::calibration_failed)},
+          {"progress_percent", report.progress_percent},
+          {"travel_rad", only(CalibrationKind::friction, number(double{report.settings.travel_rad}))},
+          {"speed_rad_s", only(CalibrationKind::friction, number(double{report.settings.speed_rad_s}))},
+          {"load_nm", only(CalibrationKind::torque_zero, number(double{report.settings.load_nm}))},
+          {"friction", friction},
+          {"torque_offset_nm", found ? only(CalibrationKind::torque_zero, number(double{report.offset_nm})) : nullptr},
+          {"slip_rad", found ? only(CalibrationKind::brake, number(double{report.slip_rad})) : nullptr}};
 }
 
 Json Service::job(const Params& params) const {
@@ -484,7 +649,10 @@ Json Service::hello() const {
   return {{"interface_version", kRpcVersion},
           {"software_version", MRR_VERSION},
           {"pid", ::getpid()},
-          {"robot", {{"name", robot_.name}, {"source", robot_.source.string()}, {"joints", joints}}},
+          {"robot",
+           {{"name", robot_.name},
+            {"source", std::filesystem::absolute(robot_.source).lexically_normal().string()},
+            {"joints", joints}}},
           {"bus",
            {{"interface", options_.can},
             {"bit_rate", robot_.bus.bit_rate},
@@ -538,10 +706,8 @@ Json Service::status() {
   const CommandStatus& last = state_->command;
   Json command = nullptr;
   if (last.number > 0) {
-    std::string reason = last.state == CommandState::failed ? describe(last.failure) : "";
-    if (of_a_joint(last.failure)) {
-      reason = fmt::format("{}: {}", reason, why_not_ready());
-    }
+    std::string reason = last.number == ended_command_ ? ended_reason_ : "";
+    if (last.number != ended_command_ && last.state == CommandState::failed) reason = reason_of(last.failure);
     command = {
         {"number", last.number}, {"method", describe(last.kind)}, {"state", describe(last.state)}, {"reason", reason}};
   }
@@ -553,6 +719,10 @@ Json Service::status() {
            {"swings", current.session->swings().size()},
            {"verdict", describe(current.verdict)},
            {"nail_height_mm", number(current.session->head_height_m() * 1e3)}};
+  }
+  if (const double now_s = state_->now.seconds(); now_s < source_checked_s_ || now_s - source_checked_s_ >= 1.0) {
+    source_changed_ = source_changed(robot_);
+    source_checked_s_ = now_s;
   }
   Json bus_problem = nullptr;
   if (bus_state_ == "down") {
@@ -583,6 +753,7 @@ Json Service::status() {
             {"work_us", percentiles(cycle_.work())},
             {"realtime_scheduling", options_.realtime_scheduling},
             {"memory_locked", options_.memory_locked}}},
+          {"configuration", {{"source", robot_.source.string()}, {"stale", source_changed_}}},
           {"command", command},
           {"job", job}};
 }
@@ -634,11 +805,11 @@ void Service::take_events() {
     Json more = Json::object();
     switch (event.kind) {
       case EventKind::node_stage:
-        text = fmt::format("joint {}: {}", name_of(event.joint), describe(static_cast<NodeStage>(event.value)));
+        text = fmt::format("{}: {}", words_of(event.joint), describe(static_cast<NodeStage>(event.value)));
         level = spdlog::level::info;
         break;
       case EventKind::node_problem:
-        text = fmt::format("joint {}: {}", name_of(event.joint), describe(static_cast<NodeProblem>(event.value)));
+        text = fmt::format("{}: {}", words_of(event.joint), describe(static_cast<NodeProblem>(event.value)));
         level = event.value == 0 ? spdlog::level::debug : spdlog::level::warn;
         break;
       case EventKind::fault:
@@ -654,17 +825,29 @@ void Service::take_events() {
       case EventKind::command_ended: {
         const auto failure = static_cast<CommandFailure>(event.detail);
         const bool done = failure == CommandFailure::none;
-        text = fmt::format("command {}: {}", event.value, describe(failure));
-        if (of_a_joint(failure)) {
-          text = fmt::format("{}: {}", text, why_not_ready());
-        }
+        ended_command_ = event.value;
+        ended_reason_ = done ? "" : reason_of(failure);
+        text = fmt::format("command {}: {}", event.value, done ? describe(failure) : ended_reason_);
         level = done ? spdlog::level::debug : spdlog::level::warn;
         more["state"] = done ? "done" : "failed";
         break;
       }
       case EventKind::homing_ended:
-        text = fmt::format("joint {}: homing {}", name_of(event.joint),
-                           static_cast<HomingState>(event.value) == HomingState::attained ? "attained" : "failed");
+        text = fmt::format("{}: homing {}", words_of(event.joint),
+                           static_cast<ActionState>(event.value) == ActionState::attained ? "attained" : "failed");
+        level = spdlog::level::info;
+        break;
+      case EventKind::calibration_began:
+        text = fmt::format("{}: calibration of {} began", words_of(event.joint),
+                           describe(static_cast<CalibrationKind>(event.value)));
+        level = spdlog::level::info;
+        break;
+      case EventKind::calibration_progress:
+        text = fmt::format("{}: {} % of the calibration", words_of(event.joint), event.value);
+        break;
+      case EventKind::calibration_ended:
+        text = fmt::format("{}: calibration {}", words_of(event.joint),
+                           calibration_state(static_cast<ActionState>(event.value)));
         level = spdlog::level::info;
         break;
       case EventKind::all_enabled:
@@ -672,7 +855,7 @@ void Service::take_events() {
         level = spdlog::level::info;
         break;
       default:
-        if (event.joint >= 0) text = fmt::format("joint {}: {}", name_of(event.joint), text);
+        if (event.joint >= 0) text = fmt::format("{}: {}", words_of(event.joint), text);
         break;
     }
     log_.set_time(event.at.seconds());

@@ -40,6 +40,7 @@ enum class RpcError : int {
   no_clock = 7,
   no_job = 8,
   shutting_down = 9,
+  stale_configuration = 10,
 };
 
 class Service final : private RobotPort {
@@ -90,6 +91,8 @@ class Service final : private RobotPort {
   [[nodiscard]] rpc::Json command(RequestKind kind, int joint = -1);
   [[nodiscard]] rpc::Json move(const rpc::Params& params);
   [[nodiscard]] rpc::Json hammer(const rpc::Params& params);
+  [[nodiscard]] rpc::Json calibrate(const rpc::Params& params);
+  [[nodiscard]] rpc::Json calibration() const;
   [[nodiscard]] rpc::Json job(const rpc::Params& params) const;
   [[nodiscard]] rpc::Json recording(const rpc::Params& params) const;
   [[nodiscard]] rpc::Json log_lines(const rpc::Params& params) const;
@@ -98,10 +101,16 @@ class Service final : private RobotPort {
   void refresh() { state_ = &cycle_.state(); }
   void require_running() const;
   void require_no_job() const;
+  /// What begins something new must not begin it with a robot that its files no longer describe.
+  void require_configuration() const;
+  void require_holding() const;
+  void require_clearance(int joint, double travel_rad) const;
+  [[nodiscard]] std::string reason_of(CommandFailure failure) const;
   [[nodiscard]] int joint_of(const rpc::Params& params) const;
   [[nodiscard]] std::string why_not_ready() const;
   [[nodiscard]] std::string problem_of(int joint) const;
   [[nodiscard]] const std::string& name_of(int joint) const;
+  [[nodiscard]] std::string words_of(int joint) const { return joint_words(robot_, joint); }
   [[nodiscard]] rpc::Json joint_json(int joint) const;
 
   void take_events();
@@ -130,6 +139,10 @@ class Service final : private RobotPort {
   double full_until_s_ = -1.0;
   std::string bus_state_ = "up";
   std::deque<Fault> faults_;
+  bool source_changed_ = false;
+  double source_checked_s_ = -1.0;
+  std::uint32_t ended_command_ = 0;  ///< its reason is kept: joints change afterwards
+  std::string ended_reason_;
 
   std::vector<std::unique_ptr<Job>> jobs_;  ///< all that were run, for their results
   std::vector<RecordRow> rows_;

@@ -13,10 +13,9 @@ constexpr std::uint16_t kSwitchOn = 0x07;
 constexpr std::uint16_t kEnableOperation = 0x0F;
 constexpr std::uint16_t kDisableVoltage = 0x00;
 constexpr std::uint16_t kFaultReset = 0x80;
-constexpr std::uint16_t kHomingStart = 0x10;
-constexpr std::uint16_t kHomingAttained = 0x1000;
-constexpr std::uint16_t kHomingError = 0x2000;
-constexpr std::int8_t kModeHoming = 6;
+constexpr std::uint16_t kActionStart = 0x10;
+constexpr std::uint16_t kActionAttained = 0x1000;
+constexpr std::uint16_t kActionError = 0x2000;
 
 enum class PowerState : std::uint8_t {
   not_ready,
@@ -60,6 +59,8 @@ constexpr Duration kEnableTimeout = milliseconds(2000);
 constexpr std::int64_t kSilentCycles = 8;  // SYNC periods without a word from an enabled node
 constexpr Duration kStartTimeout = milliseconds(1000);
 constexpr Duration kRequestTimeout = milliseconds(100);
+/// Several repetitions of the start bit, and several SYNCs: what the statusword says then is said of this action.
+constexpr Duration kActionShows = milliseconds(200);
 constexpr int kMaxRetries = 3;
 constexpr int kMaxResets = 5;  // a fault that outlasts them needs another acknowledgement
 
@@ -178,14 +179,15 @@ void NodeProxy::reset_fault() noexcept {
   ask_again_ = stage_ == NodeStage::refused;
 }
 
-void NodeProxy::start_homing() noexcept {
+void NodeProxy::start_action(std::int8_t mode) noexcept {
   if (stage_ != NodeStage::enabled) return;
-  homing_ = HomingState::running;
-  homing_started_ = false;
+  action_ = ActionState::running;
+  action_mode_ = mode;
+  action_started_ = false;
 }
 
-void NodeProxy::stop_homing() noexcept {
-  if (homing_ == HomingState::running) homing_ = HomingState::aborted;
+void NodeProxy::stop_action() noexcept {
+  if (action_ == ActionState::running) action_ = ActionState::aborted;
 }
 
 void NodeProxy::enter(NodeStage stage, Time now) noexcept {
@@ -280,7 +282,7 @@ void NodeProxy::step(Time now, can::TransmitQueue& tx) noexcept {
     resets_left_ = 0;
     enter(NodeStage::lost, now);
   }
-  if (stage_ != NodeStage::enabled && homing_ == HomingState::running) homing_ = HomingState::aborted;
+  if (stage_ != NodeStage::enabled) stop_action();
 
   switch (stage_) {
     case NodeStage::absent:
@@ -388,24 +390,26 @@ void NodeProxy::send_controlword(std::uint16_t controlword, Time now, can::Trans
   (void)tx.push_back(can::pack_rpdo1(settings_.node_id, {controlword, mode}));
 }
 
-// The mode first, then the start bit. The module may still show what it attained in an earlier run: only after the
-// start has shown (neither attained nor at rest) does the bit speak of this one.
-void NodeProxy::step_homing(Time now, can::TransmitQueue& tx) noexcept {
-  if (homing_ == HomingState::running && measured_.mode_display == kModeHoming) {
-    const bool attained = (measured_.statusword & kHomingAttained) != 0;
-    const bool error = (measured_.statusword & kHomingError) != 0;
-    if (mode_ == kModeHoming && controlword_ == (kEnableOperation | kHomingStart)) {
-      if (!attained && !error) homing_started_ = true;
-      if (homing_started_ && (attained || error)) homing_ = attained ? HomingState::attained : HomingState::failed;
+// The mode first, then the start bit. The module may still show how an earlier run ended: only after the start has
+// shown (neither attained nor failed), or has long been asked for, does the statusword speak of this one.
+void NodeProxy::step_action(Time now, can::TransmitQueue& tx) noexcept {
+  if (action_ == ActionState::running && in_action_mode()) {
+    const bool attained = (measured_.statusword & kActionAttained) != 0;
+    const bool error = (measured_.statusword & kActionError) != 0;
+    if (mode_ == action_mode_ && controlword_ == (kEnableOperation | kActionStart)) {
+      if ((!attained && !error) || now - action_asked_ > kActionShows) action_started_ = true;
+      if (action_started_ && (attained || error)) action_ = attained ? ActionState::attained : ActionState::failed;
+    } else {
+      action_asked_ = now;
     }
-    if (homing_ == HomingState::running) {
-      send_controlword(kEnableOperation | kHomingStart, now, tx, kModeHoming);
+    if (action_ == ActionState::running) {
+      send_controlword(kEnableOperation | kActionStart, now, tx, action_mode_);
       return;
     }
   }
-  if (homing_ == HomingState::running) {
-    send_controlword(kEnableOperation, now, tx, kModeHoming);
-  } else if (measured_.mode_display == kModeHoming) {
+  if (action_ == ActionState::running) {
+    send_controlword(kEnableOperation, now, tx, action_mode_);
+  } else if (in_action_mode()) {
     send_controlword(kEnableOperation, now, tx);
   }
 }
@@ -469,7 +473,7 @@ void NodeProxy::step_power(Time now, can::TransmitQueue& tx) noexcept {
           send_controlword(kEnableOperation, now, tx);
         }
       } else {
-        step_homing(now, tx);
+        step_action(now, tx);
       }
       return;
     case PowerState::not_ready:

@@ -75,14 +75,19 @@ struct NodeCondition {
   double loop_load = 0.0;  ///< share of a control tick
 };
 
-/// How a homing run that was asked for stands.
-enum class HomingState : std::uint8_t {
+/// How an action that was asked for stands: homing, or a calibration.
+enum class ActionState : std::uint8_t {
   none,
   running,
   attained,
   failed,   ///< the module says so: statusword bit 13
-  aborted,  ///< stop_homing(), or the joint fell out of operation
+  aborted,  ///< stop_action(), or the joint fell out of operation
 };
+/// Modes of operation in which the module acts by itself, from its start bit on until it says how it ended.
+inline constexpr std::int8_t kModeHoming = 6;
+inline constexpr std::int8_t kModeIdentification = -2;
+inline constexpr std::int8_t kModeTorqueZero = -3;
+inline constexpr std::int8_t kModeBrakeTest = -4;
 
 /// What there is to know of a node, by value: for whoever must not hold the node itself.
 struct NodeReport {
@@ -114,11 +119,18 @@ class NodeProxy {
   void want_enabled(bool wanted) noexcept { wanted_ = wanted; }
   /// Acknowledge: fault resets until it takes, a few at most, then bring-up goes on. A refused node is asked again.
   void reset_fault() noexcept;
-  /// Run homing: mode 6 and its start bit, until the module says how it ended, then mode 8 again. Only when enabled.
-  void start_homing() noexcept;
+  /// Homing or a calibration: its mode and the start bit, until the module says how it ended, then mode 8 again. Only
+  /// when enabled.
+  void start_action(std::int8_t mode) noexcept;
   /// The joint stops, and goes back to mode 8.
-  void stop_homing() noexcept;
-  [[nodiscard]] HomingState homing() const noexcept { return homing_; }
+  void stop_action() noexcept;
+  [[nodiscard]] ActionState action() const noexcept { return action_; }
+  /// No set point leads it: it acts, or has not yet shown that it is back in their mode.
+  [[nodiscard]] bool acts() const noexcept {
+    return action_ == ActionState::running || (stage_ == NodeStage::enabled && in_action_mode());
+  }
+  /// For objects of a joint that is enabled; bring-up uses it before.
+  [[nodiscard]] can::SdoClient& sdo() noexcept { return sdo_; }
 
   /// Forget which PDOs came: a new SYNC goes out.
   void begin_cycle() noexcept { received_in_cycle_ = 0; }
@@ -139,7 +151,10 @@ class NodeProxy {
   void refuse(NodeProblem problem, std::uint32_t detail, Time now) noexcept;
   void step_requests(Time now, can::TransmitQueue& tx) noexcept;
   void step_power(Time now, can::TransmitQueue& tx) noexcept;
-  void step_homing(Time now, can::TransmitQueue& tx) noexcept;
+  void step_action(Time now, can::TransmitQueue& tx) noexcept;
+  [[nodiscard]] bool in_action_mode() const noexcept {
+    return action_ != ActionState::none && measured_.mode_display == action_mode_;
+  }
   void send_controlword(std::uint16_t controlword, Time now, can::TransmitQueue& tx,
                         std::int8_t mode = kModeCyclicPosition) noexcept;
 
@@ -157,8 +172,10 @@ class NodeProxy {
   bool wanted_ = false;
   int resets_left_ = 0;
   bool ask_again_ = false;
-  HomingState homing_ = HomingState::none;
-  bool homing_started_ = false;  // the module has taken the start bit: what was attained before does not count
+  ActionState action_ = ActionState::none;
+  std::int8_t action_mode_ = 0;
+  bool action_started_ = false;  // the module has taken the start bit: what was attained before does not count
+  Time action_asked_;            // since when the start bit is sent
   bool heard_ = false;
   bool booted_ = false;
   can::NmtState nmt_state_ = can::NmtState::initialising;

@@ -2,6 +2,8 @@
 
 #include <fmt/format.h>
 
+#include <numbers>
+
 #include "common/robot/errors.h"
 
 namespace mrr::sup {
@@ -18,9 +20,11 @@ JointTrajectory plan_move(const RobotDescription& robot, const Chain& chain, con
   MotionLimits limits = motion_limits(robot);
   for (int i = 0; i < robot.dof(); ++i) {
     if (target[i] >= limits.lower_rad[i] && target[i] <= limits.upper_rad[i]) continue;
-    throw PlanError(fmt::format("joint {}: {:.4f} rad is outside its limits, {:.4f} to {:.4f} rad",
-                                robot.joints[static_cast<std::size_t>(i)].name, target[i], limits.lower_rad[i],
-                                limits.upper_rad[i]));
+    constexpr double kDeg = 180.0 / std::numbers::pi;
+    throw PlanError(
+        fmt::format("{}: {:.4f} rad ({:.2f} deg) is outside its limits, {:.4f} to {:.4f} rad ({:.2f} to {:.2f} deg)",
+                    joint_words(robot, i), target[i], target[i] * kDeg, limits.lower_rad[i], limits.upper_rad[i],
+                    limits.lower_rad[i] * kDeg, limits.upper_rad[i] * kDeg));
   }
   limits.velocity_rad_s *= speed;
   limits.acceleration_rad_s2 *= speed;

@@ -92,11 +92,11 @@ std::string HammerSession::bring_up_report(bool refused_only) const {
     const JointDescription& joint = robot_.joints[static_cast<std::size_t>(i)];
     if (!text.empty()) text += "; ";
     if (node.stage == NodeStage::enabled) {
-      text += fmt::format("joint {} (node {}) is enabled but does not follow its set points: {}", joint.name,
+      text += fmt::format("joint {} ({}, node {}) is enabled but does not follow its set points: {}", i + 1, joint.name,
                           joint.node_id, words(can::name_of_code(node.measured.error_or_limit)));
       continue;
     }
-    text += fmt::format("joint {} (node {}) is {}: {}", joint.name, joint.node_id, describe(node.stage),
+    text += fmt::format("joint {} ({}, node {}) is {}: {}", i + 1, joint.name, joint.node_id, describe(node.stage),
                         describe(node.problem));
     if (node.problem == NodeProblem::fault) {
       const auto code = static_cast<std::uint16_t>(node.problem_detail);

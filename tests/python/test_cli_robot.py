@@ -42,7 +42,7 @@ def status():
         "clock": {"kind": "realtime", "running": True, "period_us": 1000.0, "cycles": 12750, "missed": 3,
                   "late_us": {"p50": 60.0, "p99": 120.0, "p999": 300.0, "max": 2000.0},
                   "work_us": {"p50": 10.0, "p99": 20.0, "p999": 30.0, "max": 40.0}, "realtime_scheduling": True, "memory_locked": True},
-        "command": None, "job": None,
+        "configuration": {"source": "robots/mrr3", "stale": False}, "command": None, "job": None,
     }
 
 
@@ -343,3 +343,123 @@ def test_unusable_input_ends_with_2_and_one_line(mrr, arguments, word):
     ended = mrr(*arguments)
     assert ended.returncode == 2 and word in ended.stderr and ended.stderr.count("\n") == 1, ended.stderr
     assert ended.stdout == ""
+
+# ---------------------------------------------------------------------------------------------- calibrate
+
+
+@pytest.fixture
+def robot_folder(tmp_path, source_dir):
+    folder = tmp_path / "mrr3"
+    folder.mkdir()
+    for name in ("robot.urdf", "robot.yaml"):
+        (folder / name).write_bytes((source_dir / "robots/mrr3" / name).read_bytes())
+    return folder
+
+
+def fit(**changes):
+    direction = {"coulomb_nm": 3.5, "static_nm": 4.2, "stribeck_decay_s2_rad2": 1000.0, "viscous_nm_s_rad": 1.8}
+    other = {**direction, "coulomb_nm": 4.5, "static_nm": 5.0}
+    return {"positive": direction, "negative": other, "torque_constant_positive_nm_a": 0.1952, "torque_constant_negative_nm_a": 0.2464,
+            "residual_nm": 0.08, "points": 60, **changes}
+
+
+def calibration(what="friction", **changes):
+    return {"command": 5, "joint": "joint_3", "what": what, "state": "done", "reason": "", "progress_percent": 100,
+            "travel_rad": 0.3 if what == "friction" else None, "speed_rad_s": 1.0 if what == "friction" else None,
+            "load_nm": 3.1 if what == "torque-zero" else None, "friction": fit() if what == "friction" else None,
+            "torque_offset_nm": 0.31 if what == "torque-zero" else None, "slip_rad": 0.001 if what == "brake" else None, **changes}
+
+
+@pytest.fixture
+def calibrating(supervisor, robot_folder):
+    """Answers `calibrate` with what `result` holds."""
+    result = {}
+
+    def set_result(*arguments, **changes):
+        result.update(calibration(*arguments, **changes))
+
+    supervisor.answers["hello"] = lambda: {**hello(), "robot": {**hello()["robot"], "source": str(robot_folder)}}
+    supervisor.answers["calibrate"] = lambda: {"command": 5}
+    supervisor.answers["calibration"] = lambda: dict(result)
+    supervisor.after["calibrate"] = [done()]
+    set_result()
+    return set_result
+
+
+def changed(folder, source_dir):
+    """Lines that robot.yaml has and the example has not."""
+    before = (source_dir / "robots/mrr3/robot.yaml").read_text().splitlines()
+    after = (folder / "robot.yaml").read_text().splitlines()
+    return [b.strip() for a, b in zip(before, after) if a != b] if len(before) == len(after) else [b.strip() for b in after if b not in before]
+
+
+def test_calibrate_shows_the_fit_and_a_diff_and_writes_nothing_unasked(supervisor, mrr, calibrating, robot_folder, source_dir):
+    ended = mrr("calibrate", "joint_3", "--travel", "0.2")
+    assert ended.returncode == 0, ended.stderr
+    assert ("calibrate", {"joint": "joint_3", "what": "friction", "travel_rad": 0.2}) in supervisor.asked
+    assert "residual 0.080 Nm rms over 60 points" in ended.stdout and "Nothing was written" in ended.stdout
+    assert "-      coulomb: 3.9 Nm                  # [I]" in ended.stdout and "+      coulomb: 4 Nm                    # [I]" in ended.stdout
+    assert f"--- {robot_folder}/robot.yaml" in ended.stdout and "@@ -" in ended.stdout and "\x1b" not in ended.stdout
+    assert changed(robot_folder, source_dir) == []
+    # What patch makes of the diff is what --write writes.
+    diff = ended.stdout[ended.stdout.index("---"):ended.stdout.index("Nothing")]
+    patched = subprocess.run(["patch", "-s", "-o", "-", str(robot_folder / "robot.yaml")], input=diff, capture_output=True, text=True)
+    assert patched.returncode == 0, patched.stdout + patched.stderr
+    assert mrr("calibrate", "3", "--write").returncode == 0
+    assert (robot_folder / "robot.yaml").read_text() == patched.stdout
+
+
+def test_calibrate_write_keeps_everything_else_and_says_what_to_do_next(supervisor, mrr, calibrating, robot_folder, source_dir):
+    ended = mrr("calibrate", "joint_3", "--write")
+    assert ended.returncode == 0 and "restart modules and supervisor" in " ".join(ended.stdout.split()), ended.stderr
+    assert changed(robot_folder, source_dir) == [
+        "torque_constant_positive: 0.1952 Nm/A", "torque_constant_negative: 0.2464 Nm/A", "coulomb: 4 Nm                    # [I]",
+        "stribeck_decay: 1000 s^2/rad^2   # [I]", "viscous: 1.8 Nm s/rad            # [I]"]
+    again = mrr("calibrate", "joint_3", "--write")
+    assert again.returncode == 0 and "says so already" in again.stdout
+
+
+def test_calibrate_refuses_to_write_what_would_not_be_a_robot(supervisor, mrr, calibrating, robot_folder, source_dir):
+    calibrating(friction=fit(torque_constant_positive_nm_a=0.15))
+    ended = mrr("calibrate", "joint_3", "--write")
+    assert ended.returncode == 1 and "peak_current" in ended.stderr and "--keep-torque-constants" in ended.stderr
+    assert changed(robot_folder, source_dir) == []
+    ended = mrr("calibrate", "joint_3", "--write", "--keep-torque-constants")
+    assert ended.returncode == 0, ended.stderr
+    assert not any("torque_constant" in line for line in changed(robot_folder, source_dir))
+
+
+def test_a_poor_fit_is_shown_and_not_written(supervisor, mrr, calibrating, robot_folder, source_dir):
+    calibrating(state="failed", reason="the fit leaves too much unexplained")
+    supervisor.after["calibrate"] = [done("failed", "the fit leaves too much unexplained")]
+    ended = mrr("calibrate", "joint_3", "--write")
+    assert ended.returncode == 1 and "too much unexplained" in ended.stderr and "residual" in ended.stdout
+    assert changed(robot_folder, source_dir) == []
+
+
+def test_torque_zero_goes_into_a_section_of_its_own(supervisor, mrr, calibrating, robot_folder, source_dir):
+    calibrating("torque-zero")
+    shown = json.loads(mrr("calibrate", "joint_3", "--what", "torque-zero", "--write", "--json").stdout)
+    assert shown["written"] and shown["file"] == str(robot_folder / "robot.yaml") and shown["result"]["torque_offset_nm"] == 0.31
+    assert "+    calibration: {torque_offset: 0.310 Nm}" in shown["diff"].splitlines()
+    assert changed(robot_folder, source_dir) == ["calibration: {torque_offset: 0.310 Nm}"]
+
+
+def test_the_brake_test_writes_nothing(supervisor, mrr, calibrating, robot_folder, source_dir):
+    calibrating("brake")
+    ended = mrr("calibrate", "joint_3", "--what", "brake", "--torque", "20", "--write")
+    assert ended.returncode == 0 and "gave way by 1.00 mrad" in ended.stdout
+    assert ("calibrate", {"joint": "joint_3", "what": "brake", "torque_nm": 20.0}) in supervisor.asked
+    assert changed(robot_folder, source_dir) == []
+
+
+def test_ctrl_c_stops_a_calibration(supervisor, program, calibrating):
+    calibrating(state="running", progress_percent=42)
+    supervisor.after["calibrate"] = []
+    supervisor.answers["status"] = lambda: {**status(), "command": {"number": 5, "method": "calibrate", "state": "running", "reason": ""}}
+    child = subprocess.Popen([program("cli/mrr"), "calibrate", "joint_3", "--socket", supervisor.path], stdout=subprocess.PIPE,
+                             stderr=subprocess.PIPE, text=True)
+    assert "42 %" in child.stdout.readline()
+    child.send_signal(signal.SIGINT)
+    assert child.wait(timeout=10) == 130 and "the robot was stopped" in child.stderr.read()
+    assert ("stop", {}) in supervisor.asked

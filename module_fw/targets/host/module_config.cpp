@@ -74,9 +74,12 @@ std::uint32_t configuration_hash(const ModuleConfig& c) {
   h.all(l.lower_rad, l.upper_rad, l.velocity_rad_s, l.acceleration_rad_s2, l.torque_nm, l.following_error_rad,
         l.following_error_time);
   h.all(c.homing.switch_position_rad, c.homing.direction, c.homing.fast_rad_s, c.homing.slow_rad_s, c.homing.timeout,
-        c.homing.max_travel_rad, c.homing.max_torque_nm, c.homing.index, c.homing.index_position_rad);
+        c.homing.max_travel_rad, c.homing.max_torque_nm, c.homing.index, c.homing.index_position_rad,
+        static_cast<std::int32_t>(c.homing.method));
   h.all(c.brake.release, c.brake.engage, c.brake.torque_confirm_timeout);
-  h.all(c.watchdog.missing_knots, c.watchdog.supervisor_heartbeat, c.watchdog.sync, c.watchdog.loop);
+  h.all(c.watchdog.missing_knots, c.watchdog.supervisor_heartbeat, c.watchdog.sync, c.watchdog.loop,
+        c.watchdog.torque_target, s.torque_offset_nm);
+  for (const std::uint8_t reaction : c.watchdog.reactions) h.add(reaction);
   return h.value();
 }
 
@@ -93,6 +96,7 @@ ModuleConfig module_config(const RobotDescription& robot, int joint) {
   c.sensing.encoder_counts_per_turn = j.sensors.encoder_counts_per_turn;
   c.sensing.encoder_absolute = j.sensors.encoder_absolute;
   c.sensing.torque_sensor = j.sensors.torque_sensor;
+  c.sensing.torque_offset_nm = narrow(j.torque_offset_nm);
   if (j.sensors.torque_sensor) {
     c.sensing.torque_full_scale_nm = narrow(j.sensors.torque_full_scale_nm);
     c.sensing.torque_bandwidth_rad_s = narrow(2.0 * std::numbers::pi * j.sensors.torque_bandwidth_hz);
@@ -161,6 +165,20 @@ ModuleConfig module_config(const RobotDescription& robot, int joint) {
   c.homing.fast_rad_s = narrow(j.homing.fast_rad_s);
   c.homing.slow_rad_s = narrow(j.homing.slow_rad_s);
   c.homing.timeout = seconds(j.homing.timeout_s);
+  c.homing.method = j.homing.method == HomingMethod::here ? 37 : -1;
+  c.homing.max_travel_rad = narrow(j.homing.max_travel_rad);
+  c.homing.max_torque_nm = narrow(j.homing.max_torque_nm);
+  c.homing.index = j.homing.index_position_rad.has_value();
+  c.homing.index_position_rad = narrow(j.homing.index_position_rad.value_or(0.0));
+
+  const WatchdogDescription& w = j.watchdog;
+  c.watchdog.missing_knots = static_cast<std::uint8_t>(w.missing_knots);
+  c.watchdog.torque_target = seconds(w.torque_target_s);
+  c.watchdog.supervisor_heartbeat = seconds(w.heartbeat_s);
+  c.watchdog.sync = seconds(w.sync_s);
+  const auto number = [](SilenceReaction reaction) { return static_cast<std::uint8_t>(reaction); };
+  c.watchdog.reactions = {number(w.knots), number(w.torque_target), number(w.heartbeat), number(w.sync),
+                          number(w.bus_off)};
 
   c.brake.release = seconds(j.brake.release_s);
   c.brake.engage = seconds(j.brake.engage_s);

@@ -39,6 +39,11 @@ void run(const std::string& directory, const std::string& joint_text, fw::ShellO
   const RobotDescription robot = load_robot(find_robot(directory));
   const int joint = find_joint(robot, joint_text);
   if (options.can.empty()) options.can = robot.bus.interface;
+  if (options.can == options.plant) {
+    throw DescriptionError(
+        fmt::format("--plant {0}: that is the robot's bus (--can {0}) too; the plant needs an interface of its own.",
+                    options.plant));
+  }
   options.number = joint + 1;
   options.name = robot.joints[static_cast<std::size_t>(joint)].name;
   fw::ModuleConfig config = fw::module_config(robot, joint);
@@ -79,6 +84,9 @@ int main(int argc, char** argv) {
   });
   try {
     app.parse(argc, argv);
+    if (lockstep && options.plant.empty()) {
+      throw DescriptionError("--lockstep: there is no plant to be the clock; give --plant, or leave --lockstep out.");
+    }
     options.pace = lockstep ? fw::Pace::lockstep : realtime ? fw::Pace::realtime : fw::Pace::as_plant;
     struct sigaction action {};
     action.sa_handler = [](int) { stop_requested = 1; };  // without SA_RESTART: waiting ends

@@ -6,7 +6,9 @@
 #include <limits>
 
 #include "can_protocol/messages.h"
+#include "can_protocol/pdo.h"
 #include "common/realtime/realtime.h"
+#include "common/robot/errors.h"
 #include "module_fw/targets/linux/heap_watch.h"
 #include "module_fw/targets/linux/joint_bytes.h"
 
@@ -24,7 +26,8 @@ constexpr Duration kSetPointDelay = milliseconds(24);
 constexpr Duration kPlantGrace = milliseconds(5);     // how long a tick waits for a sample that is late
 constexpr Duration kClockCheck = milliseconds(1000);  // the system's time may be stepped: look again
 constexpr Duration kPlantForgotten = milliseconds(200);
-constexpr std::int64_t kTimedTicks = 8;  // reading the clock is dear in some virtual machines
+constexpr Duration kTwinListen = milliseconds(150);  // an operational module sends at every SYNC, and heartbeats
+constexpr std::int64_t kTimedTicks = 8;              // reading the clock is dear in some virtual machines
 
 struct CobIds {
   StaticVector<can::CanFilter, can::CanSocket::kMaxFilters> filters;
@@ -44,7 +47,8 @@ CobIds cob_ids(const can::ObjectDictionary& od) noexcept {
   ids.add(can::kNmtCobId);
   ids.add(od.sync_cob_id);
   ids.add(can::kLssRequestCobId);
-  ids.add(od.sdo_server_cob_id_receive);  // LSS may have changed the node id
+  ids.add(od.sdo_server_cob_id_receive);                                   // LSS may have changed the node id
+  ids.add(can::kHeartbeatCobId + (od.sdo_server_cob_id_receive & 0x7FU));  // a twin's
   for (const std::uint32_t entry : od.consumer_heartbeat) {
     const std::uint32_t watched = (entry >> 16U) & 0xFFU;
     if (watched >= 1 && watched <= can::kMaxNodeId) ids.add(can::kHeartbeatCobId + watched);
@@ -55,7 +59,22 @@ CobIds cob_ids(const can::ObjectDictionary& od) noexcept {
   return ids;
 }
 
+/// Two modules with one node id take each other's orders, and nobody could tell their answers apart.
+void refuse_twin(const ModuleConfig& config, const ShellOptions& options) {
+  const std::array<can::CanFilter, 2> own{can::CanFilter{can::kHeartbeatCobId + config.node_id},
+                                          can::CanFilter{can::kTpdo1CobId + config.node_id}};
+  can::CanSocket socket = can::CanSocket::open(options.can, {.filters = own});
+  const Time end = can::monotonic_now() + kTwinListen;
+  for (Time now = can::monotonic_now(); now < end; now = can::monotonic_now()) {
+    if (socket.receive(end - now).empty()) continue;
+    throw DescriptionError(fmt::format(
+        "--can {}: another module is node {} there already, the node of joint {} ({}); stop that one first.",
+        options.can, config.node_id, options.number, options.name));
+  }
+}
+
 can::CanSocket open_bus(const ModuleConfig& config, const ShellOptions& options) {
+  refuse_twin(config, options);
   const CobIds ids = cob_ids(Module(config).objects());
   return can::CanSocket::open(options.can, {.filters = {ids.filters.data(), ids.filters.size()}});
 }
@@ -133,6 +152,12 @@ void Shell::run(const volatile int& stop) {
 
 bool Shell::tick(Time now, const RawSensors& sensors, std::span<const can::ReceivedFrame> received,
                  bool stopping) noexcept {
+  for (const can::ReceivedFrame& f : received) {
+    const bool heartbeat = f.frame.id == can::kHeartbeatCobId + config_.node_id && f.frame.length == 1;
+    if (twin_seen_ || !heartbeat || f.frame.remote || f.frame.extended) continue;
+    twin_seen_ = true;
+    say(fmt::format("another module says that it is node {} too; stop one of the two", config_.node_id));
+  }
   if (stopping && !stopping_) {
     // The core's own way to stop in order: as if NMT "stop" had come. An enabled joint stops, holds, and brakes.
     stopping_ = true;
@@ -187,7 +212,8 @@ Shell::Next Shell::run_lockstep(const volatile int& stop) {
     if (!at) {
       const bool stopping = stop != 0;
       if (!stopping && can::monotonic_now() - silent_since < kPlantSilence) continue;
-      say("the plant is silent: going on by the wall clock without sensors");
+      // At an ordinary end the plant may have gone first.
+      if (!stopping) say("the plant is silent: going on by the wall clock without sensors");
       plant_->forget();
       return Next::clock;
     }

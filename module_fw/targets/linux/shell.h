@@ -67,6 +67,7 @@ class Shell {
   bool stopping_ = false;
   bool timer_of_plant_ = false;
   std::int64_t ticks_ = 0;
+  bool twin_seen_ = false;
   std::int64_t overruns_ = 0;        ///< ticks left out because the loop was late
   std::int64_t without_sample_ = 0;  ///< ticks by the wall clock for which no new sample had come
   std::uint64_t cob_ids_ = 0;        ///< fingerprint of those the kernel filters for

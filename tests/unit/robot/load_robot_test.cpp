@@ -20,6 +20,9 @@ using test::expect_one_sentence;
 using test::SpoiledRobot;
 using testing::HasSubstr;
 
+constexpr const char* kYaml = "robot.yaml";
+constexpr const char* kUrdf = "robot.urdf";
+
 RobotDescription load_example(const std::string& name) {
   return load_robot(std::filesystem::path(MRR_SOURCE_DIR) / "robots" / name);
 }
@@ -165,6 +168,56 @@ TEST(Mrr3, ReadsEveryGroupOfValues) {
   EXPECT_DOUBLE_EQ(r.hammer.face_radius_m, 0.012);
 }
 
+TEST(LoadRobot, ReadsHomingWatchdogsSoftLimitsAndCalibration) {
+  const SpoiledRobot robot;
+  const JointDescription standard = load_robot(robot.directory()).joints[0];
+  EXPECT_EQ(standard.homing.method, HomingMethod::on_switch);
+  EXPECT_EQ(standard.homing.max_travel_rad, 0.0);
+  EXPECT_FALSE(standard.homing.index_position_rad.has_value());
+  EXPECT_EQ(standard.watchdog.heartbeat, SilenceReaction::stop);
+  robot.replace(
+      kYaml, "      timeout: 90 s ",
+      "      max_travel: 5 rad\n      max_torque: 60 Nm\n      index_position: -2.81 rad\n      timeout: 90 s ");
+  robot.replace(kYaml, "      acceleration: 25 rad/s^2 ",
+                "      lower: -150 deg\n      upper: 2.5 rad\n      acceleration: 25 rad/s^2 ");
+  robot.replace(
+      kYaml, "    homing:\n",
+      "    calibration: {torque_offset: -300 mNm}\n"
+      "    watchdog:\n      knots: {missing: 3, reaction: damp}\n"
+      "      torque_target: {timeout: 0.2 s, reaction: stop}\n      heartbeat: {timeout: 1 s, reaction: hold}\n"
+      "      sync: {timeout: 40 ms, reaction: report}\n      bus_off: {reaction: damp}\n    homing:\n");
+  const JointDescription j = load_robot(robot.directory()).joints[0];
+  EXPECT_EQ(j.homing.max_travel_rad, 5.0);
+  EXPECT_EQ(j.homing.max_torque_nm, 60.0);
+  EXPECT_EQ(j.homing.index_position_rad, -2.81);
+  EXPECT_NEAR(j.limits.lower_rad, -150.0 * std::numbers::pi / 180.0, 1e-12);
+  EXPECT_EQ(j.limits.upper_rad, 2.5);
+  EXPECT_EQ(j.torque_offset_nm, -0.3);
+  EXPECT_EQ(j.watchdog.missing_knots, 3);
+  EXPECT_EQ(j.watchdog.knots, SilenceReaction::damp);
+  EXPECT_EQ(j.watchdog.torque_target_s, 0.2);
+  EXPECT_EQ(j.watchdog.torque_target, SilenceReaction::stop);
+  EXPECT_EQ(j.watchdog.heartbeat_s, 1.0);
+  EXPECT_EQ(j.watchdog.heartbeat, SilenceReaction::hold);
+  EXPECT_EQ(j.watchdog.sync_s, 0.04);
+  EXPECT_EQ(j.watchdog.sync, SilenceReaction::report);
+  EXPECT_EQ(j.watchdog.bus_off, SilenceReaction::damp);
+}
+
+TEST(LoadRobot, SaysWhenItsFilesHaveChanged) {
+  const SpoiledRobot robot;
+  const RobotDescription description = load_robot(robot.directory());
+  EXPECT_FALSE(source_changed(description));
+  EXPECT_FALSE(source_changed(RobotDescription{}));
+  const std::string before = robot.text(kYaml);
+  robot.replace(kYaml, "coulomb: 30.5 Nm", "coulomb: 30.6 Nm");
+  EXPECT_TRUE(source_changed(description));
+  robot.set_text(kYaml, before);
+  EXPECT_FALSE(source_changed(description));
+  std::filesystem::remove(robot.directory() / "robot.urdf");
+  EXPECT_TRUE(source_changed(description));
+}
+
 TEST(Arm7, ReachesItsNailComfortably) {
   const RobotDescription robot = load_example("arm7");
   ASSERT_EQ(robot.dof(), 7);
@@ -243,9 +296,6 @@ TEST_P(BadRobot, IsOneClearSentence) {
   EXPECT_THAT(text, HasSubstr((robot.directory() / (spoil.blamed != nullptr ? spoil.blamed : spoil.file)).string()));
   for (const std::string& fragment : spoil.says) EXPECT_THAT(text, HasSubstr(fragment));
 }
-
-constexpr const char* kYaml = "robot.yaml";
-constexpr const char* kUrdf = "robot.urdf";
 
 const std::vector<Spoil> kSpoils = {
     // robot.yaml: form
@@ -372,6 +422,81 @@ const std::vector<Spoil> kSpoils = {
      {"must be longer than joint 'joint_1' needs"}},
     {"homing_timeout", kYaml, "timeout: 90 s", "timeout: 20 s", {"search through the whole travel takes 29 s"}},
     {"homing_switch_outside", kYaml, "switch_position: -2.8 rad", "switch_position: -3 rad", {"at least -2.9 rad"}},
+    {"homing_method",
+     kYaml,
+     "      timeout: 90 s ",
+     "      method: index\n      timeout: 90 s ",
+     {"joints.joint_1.homing.method"}},
+    {"homing_here_with_absolute_encoder",
+     kYaml,
+     "      timeout: 90 s ",
+     "      method: here\n      timeout: 90 s ",
+     {"a joint with an absolute encoder knows where it is"}},
+    {"homing_torque_cap",
+     kYaml,
+     "      timeout: 90 s ",
+     "      max_torque: 200 Nm\n      timeout: 90 s ",
+     {"at most 110 Nm"}},
+    {"homing_travel_cap",
+     kYaml,
+     "      timeout: 90 s ",
+     "      max_travel: 3 s\n      timeout: 90 s ",
+     {"give an angle"}},
+    {"homing_index_behind_the_switch",
+     kYaml,
+     "      timeout: 90 s ",
+     "      index_position: -2.7 rad\n      timeout: 90 s ",
+     {"beyond switch_position in the direction"}},
+    {"homing_index_outside",
+     kYaml,
+     "      timeout: 90 s ",
+     "      index_position: -3 rad\n      timeout: 90 s ",
+     {"at least -2.9 rad"}},
+    {"watchdog_reaction",
+     kYaml,
+     "    homing:\n      switch_position: -2.8 rad",
+     "    watchdog: {heartbeat: {reaction: panic}}\n    homing:\n      switch_position: -2.8 rad",
+     {"joints.joint_1.watchdog.heartbeat.reaction"}},
+    {"watchdog_knots_only_reported",
+     kYaml,
+     "    homing:\n      switch_position: -2.8 rad",
+     "    watchdog: {knots: {reaction: report}}\n    homing:\n      switch_position: -2.8 rad",
+     {"hold, stop"}},
+    {"watchdog_heartbeat_too_short",
+     kYaml,
+     "    homing:\n      switch_position: -2.8 rad",
+     "    watchdog: {heartbeat: {timeout: 20 ms}}\n    homing:\n      switch_position: -2.8 rad",
+     {"at least 0.15 s"}},
+    {"watchdog_sync_within_a_period",
+     kYaml,
+     "    homing:\n      switch_position: -2.8 rad",
+     "    watchdog: {sync: {timeout: 5 ms}}\n    homing:\n      switch_position: -2.8 rad",
+     {"less than two SYNC periods of 4 ms"}},
+    {"watchdog_missing_knots",
+     kYaml,
+     "    homing:\n      switch_position: -2.8 rad",
+     "    watchdog: {knots: {missing: 0}}\n    homing:\n      switch_position: -2.8 rad",
+     {"1"}},
+    {"torque_offset_unit",
+     kYaml,
+     "    homing:\n      switch_position: -2.8 rad",
+     "    calibration: {torque_offset: 0.1 A}\n    homing:\n      switch_position: -2.8 rad",
+     {"give a torque"}},
+    {"soft_limit_beyond_the_urdf",
+     kYaml,
+     "      acceleration: 25 rad/s^2 ",
+     "      lower: -3 rad\n      acceleration: 25 rad/s^2 ",
+     {"at least -2.9 rad"}},
+    {"soft_limits_swapped",
+     kYaml,
+     "      acceleration: 25 rad/s^2 ",
+     "      lower: 1 rad\n      upper: 0.5 rad\n      acceleration: 25 rad/s^2 ",
+     {"above the lower limit of 1 rad"}},
+    {"park_outside_soft_limits",
+     kYaml,
+     "      acceleration: 25 rad/s^2 ",
+     "      lower: 0.2 rad\n      acceleration: 25 rad/s^2 ",
+     {"without 'park' the joint rests at 0 rad"}},
     {"many_counts", kYaml, "encoder_counts: 16384", "encoder_counts: 67108864", {"32-bit count"}},
     {"unknown_hammer", kYaml, "link: hammer_face", "link: sickle", {"the URDF has no link of that name"}},
     {"hammer_not_at_tip",

@@ -105,6 +105,20 @@ TEST_F(Commands, StopEndsAMoveAndIsThenDone) {
   EXPECT_NEAR(supervisor().measured_position()[0], at, 2e-3);
 }
 
+TEST_F(Commands, AJointMayBeLetGoAgainAtAnyTime) {
+  enable();
+  // While it is passive, on its way back, just back, and long since back.
+  for (const std::int64_t after_ms : {1, 50, 300, 480, 495, 500, 505, 510, 520, 540, 600, 1500}) {
+    ASSERT_EQ(supervisor().set_passive(0), Refusal::none) << after_ms;
+    ASSERT_TRUE(done(milliseconds(500))) << after_ms << " ms: " << describe(supervisor().command().failure);
+    run_for(milliseconds(after_ms));
+  }
+  ASSERT_TRUE(run_until([&] { return supervisor().activity() == Activity::holding; }, milliseconds(3000)));
+  run_for(milliseconds(500));
+  EXPECT_EQ(supervisor().activity(), Activity::holding);
+  EXPECT_EQ(count(events_, EventKind::fault), 0);
+}
+
 TEST_F(Commands, OneJointPassiveComesBackByItselfAndIsHeldWhereItIs) {
   enable();
   ASSERT_EQ(supervisor().set_passive(0), Refusal::none);
