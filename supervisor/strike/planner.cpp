@@ -37,6 +37,7 @@ constexpr double kEvenSwing = 1.4;  // swing time over travel/speed; 2 is speed 
 constexpr double kUnhurried = 1.6;  // of the shortest time, where nothing is gained by haste
 constexpr double kLongestSwingS = 10.0;
 constexpr double kLeastArmingS = 0.25;  // for every module to acknowledge, and for a stop if one does not
+constexpr double kRounding = 1e-12;     // a load worked out another way is still no more than its limit
 constexpr double kIdle = 0.01;          // a joint that even held carries less than this share of rated is left active
 constexpr double kDegrees = 180.0 / std::numbers::pi;
 
@@ -266,7 +267,9 @@ void Planner::weigh_selections(const Blow& blow, const ChainPose& pose, const Se
 /// The best of weighed_, and its speed. Null: none stays below the repeated peaks at a speed worth striking with.
 const Weighed* Planner::choose(Blow& blow, double slower) const {
   double reach = 0.0;  // largest share of the wanted speed that any selection stands
-  for (const Weighed& w : weighed_) reach = std::max(reach, std::min(w.allowed_m_s / w.wanted_m_s, slower));
+  for (const Weighed& w : weighed_) {
+    reach = std::max(reach, std::min((1.0 - kRounding) * w.allowed_m_s / w.wanted_m_s, slower));
+  }
   if (!(reach >= kLeastSpeedShare)) {
     const Weighed& sturdiest =
         *std::max_element(weighed_.begin(), weighed_.end(),
