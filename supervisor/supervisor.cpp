@@ -402,6 +402,7 @@ void Supervisor::step(Time now, std::span<const can::ReceivedFrame> received, ca
   }
   watch_nodes();
   if (!cycle_seen_) on_cycle();
+  if (pull_due()) pull_selection(tx);
   if (step_count_ == 0) started_ = now;
   if (sync_due()) on_sync(tx);
   disable_if_asked();
@@ -903,6 +904,7 @@ void Supervisor::on_sync(can::TransmitQueue& tx) noexcept {
     // A shell that was late skips SYNCs, as if they were lost on the wire: counter, knots and time stay together.
     sync_ = std::max(sync_ + 1, (now_ - first_sync_) / sync_period_);
   }
+  synced_ = now_;
   for (int i = 0; i < dof_; ++i) nodes_[at(i)].begin_cycle();
   cycle_seen_ = false;
   (void)tx.push_back(can::sync_frame(sync_counter(sync_)));
@@ -929,11 +931,11 @@ void Supervisor::on_cycle() noexcept {
   }
 
   // A blow may last until the hammer is lifted.
-  const ContactReport& contact = observer_.step(knot_time(sync_), sample_);
+  const ContactReport& contact = observer_.step(synced_, sample_);
   for (int i = 0; i < dof_; ++i) {
     const NodeMeasurement& measured = nodes_[at(i)].measured();
     if (measured.mode_display == kModePassive && outcome_.passive_seen[at(i)].ns < 0) {
-      outcome_.passive_seen[at(i)] = knot_time(sync_);
+      outcome_.passive_seen[at(i)] = synced_;
       emit(EventKind::joint_passive, i);
     }
     if (contact.phase == ContactPhase::touching) {
@@ -1137,12 +1139,6 @@ void Supervisor::advance_selection(can::TransmitQueue& tx) noexcept {
         abort_swing(AbortReason::condition);
       } else if (now_ >= outcome_.switch_effective) {
         selection_ = Selection::in_force;
-      } else if (condition.verdict == SwitchVerdict::switch_now && outcome_.switch_effective - now_ > kPullMargin) {
-        send_selection(program_.passive, can::SelectionAction::now, now_);
-        outcome_.switch_effective = now_;
-        outcome_.pulled = true;
-        selection_ = Selection::in_force;
-        emit(EventKind::selection_pulled, -1, selection_sequence_);
       }
     }
   }
@@ -1155,6 +1151,24 @@ void Supervisor::advance_selection(can::TransmitQueue& tx) noexcept {
     }
   }
   if (command_pending_) (void)tx.push_back(can::selection_frame(command_));
+}
+
+// Contact comes earlier than armed for: the robot is told in the cycle that sees it, not with the next SYNC.
+bool Supervisor::pull_due() const noexcept {
+  if (activity_ != Activity::swinging || selection_ != Selection::armed) return false;
+  const Duration ahead = outcome_.switch_effective - now_;
+  return condition_->state().verdict == SwitchVerdict::switch_now && ahead > kPullMargin &&
+         (acknowledged_ || ahead > config_.acknowledge_before);
+}
+
+void Supervisor::pull_selection(can::TransmitQueue& tx) noexcept {
+  outcome_.switch_state = condition_->state();
+  send_selection(program_.passive, can::SelectionAction::now, now_);
+  (void)tx.push_back(can::selection_frame(command_));
+  outcome_.switch_effective = now_;
+  outcome_.pulled = true;
+  selection_ = Selection::in_force;
+  emit(EventKind::selection_pulled, -1, selection_sequence_);
 }
 
 void Supervisor::begin_resume() noexcept {

@@ -270,6 +270,8 @@ class Supervisor final : public RobotPort {
   void advance_selection(can::TransmitQueue& tx) noexcept;
   void stream_knots(can::TransmitQueue& tx) noexcept;
   void begin_motion(const JointTrajectory& trajectory, Activity activity) noexcept;
+  [[nodiscard]] bool pull_due() const noexcept;
+  void pull_selection(can::TransmitQueue& tx) noexcept;
   void begin_resume() noexcept;
   void begin_return() noexcept;
   void abort_swing(AbortReason reason) noexcept;
@@ -301,6 +303,7 @@ class Supervisor final : public RobotPort {
   std::int64_t step_count_ = 0;
   std::int64_t sync_ = -1;  // index of the last SYNC; knot k is reached at SYNC k
   Time first_sync_;
+  Time synced_;  // when the last SYNC went out, which may be a cycle late: joints sampled then
   Time last_heartbeat_;
   bool cycle_seen_ = false;
   bool wanted_ = false;

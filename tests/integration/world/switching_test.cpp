@@ -3,6 +3,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
+#include <optional>
 #include <vector>
 
 #include "can_protocol/client.h"
@@ -164,6 +166,76 @@ TEST(NoisyWire, RepeatsCorruptedFramesAndFinishesTheJob) {
     world.bus().set_error_probability(2e-3);  // some ten error frames a second
   });
   EXPECT_TRUE(job.success()) << job.reason << " " << job.limit_note;
+}
+
+/// Swings that are armed 40 ms too late, so that the switch is pulled when the approach is seen to be there.
+class PulledSwitch : public WatchedRobot {
+ protected:
+  /// From the end of the last frame that the condition became true with to the end of the order's frame, and on to the
+  /// control tick in which the last joint is passive.
+  struct Delays {
+    Duration order, passive;
+  };
+  std::optional<Delays> swing(Duration waited) {
+    supervisor().enable(true);
+    if (!run_until([&] { return supervisor().activity() == sup::Activity::holding; })) return std::nullopt;
+    run_for(waited);
+    const TaskDescription& task = robot_.task;
+    sup::PlanInput input;
+    input.normal = task.normal;
+    input.board_distance_m = task.nail_height_m;
+    input.head_position_m = task.nail_position_m + task.nail_height_m * task.normal;
+    input.mode = sup::PassiveMode::always;
+    input.start = supervisor().reference_position();
+    sup::StrikePlan plan = sup::plan(robot_, supervisor().chain(), input);
+    plan.switch_time += milliseconds(40);
+    Time fed_back, ordered, last_feedback;
+    std::vector<Time> passive(robot_.joints.size());
+    world_.on_frame = [&](const Delivery& delivery) {
+      const std::uint32_t kind = delivery.frame.id & 0x780U;
+      const bool feedback = kind == can::kTpdo1CobId || kind == can::kTpdo2CobId;
+      if (feedback && delivery.frame.id != kSelectionId) last_feedback = delivery.at;
+      const auto command = can::parse_selection(delivery.frame);
+      if (!command || command->action != can::SelectionAction::now || ordered.ns != 0) return;
+      ordered = delivery.at;
+      fed_back = last_feedback;
+    };
+    world_.on_tick = [&](int joint, Time, const fw::ModuleStatus& status) {
+      Time& since = passive[static_cast<std::size_t>(joint)];
+      if (since.ns == 0 && status.law == fw::Law::passive) since = world_.now();
+    };
+    if (supervisor().execute(plan) != sup::Refusal::none) return std::nullopt;
+    const bool pulled = run_until([&] { return supervisor().outcome().pulled; });
+    run_for(milliseconds(10));
+    world_.on_frame = {};
+    world_.on_tick = {};
+    if (!pulled || *std::min_element(passive.begin(), passive.end()) == Time{}) return std::nullopt;
+    return Delays{ordered - fed_back, *std::max_element(passive.begin(), passive.end()) - ordered};
+  }
+};
+
+// Event-triggered: the supervisor's cycle that sees it (1 ms at most), a frame (and another one that is on the wire),
+// and a control tick.
+TEST_F(PulledSwitch, IsInForceOneFrameAndOneTickAfterTheCycleThatSeesTheCondition) {
+  constexpr Duration kCycle = milliseconds(1);
+  constexpr Duration kTick = milliseconds(1);
+  constexpr Duration kFrame = microseconds(135);
+  Duration slowest_order{}, slowest_passive{};
+  for (int k = 0; k < 6; ++k) {
+    SCOPED_TRACE(k);
+    // Another phase of the modules' ticks: their clocks drift.
+    const std::optional<Delays> delays = swing(milliseconds(700 * k + 1));
+    ASSERT_TRUE(delays.has_value());
+    EXPECT_LE(delays->order, kCycle + kFrame * 2);
+    EXPECT_LE(delays->passive, kTick + microseconds(1));
+    slowest_order = std::max(slowest_order, delays->order);
+    slowest_passive = std::max(slowest_passive, delays->passive);
+    ASSERT_TRUE(run_until([&] { return supervisor().activity() == sup::Activity::holding; }));
+  }
+  RecordProperty("slowest_order_us", static_cast<int>(slowest_order.ns / 1000));
+  RecordProperty("slowest_passive_us", static_cast<int>(slowest_passive.ns / 1000));
+  std::printf("pulled switch: order on the bus after at most %d us, passive %d us later at most\n",
+              static_cast<int>(slowest_order.ns / 1000), static_cast<int>(slowest_passive.ns / 1000));
 }
 
 }  // namespace
