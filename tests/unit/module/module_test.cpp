@@ -593,7 +593,7 @@ TEST(Module, TorqueModeGivesTheTorqueAskedFor) {
 TEST(Module, HomesOnItsSwitchAndRefusesKnotsBefore) {
   auto c = test::module_config(test::hammer_joint());
   c.sensing.encoder_absolute = false;
-  c.homing = {0.25F, -1, 0.4F, 0.02F, milliseconds(20'000)};
+  c.homing = {.switch_position_rad = 0.25F, .fast_rad_s = 0.4F, .slow_rad_s = 0.02F, .timeout = milliseconds(20'000)};
   for (const double start : {0.4, -0.3, 0.102}) {  // before the switch, far beyond it at the limit, on it
     ModuleBench b(test::hammer_joint(), c);
     b.joint.place(start);
@@ -624,7 +624,7 @@ TEST(Module, HomesOnItsSwitchAndRefusesKnotsBefore) {
 TEST(Module, HomingTimesOut) {
   auto c = test::module_config(test::hammer_joint());
   c.sensing.encoder_absolute = false;
-  c.homing = {0.25F, -1, 0.05F, 0.02F, milliseconds(1'000)};
+  c.homing = {.switch_position_rad = 0.25F, .fast_rad_s = 0.05F, .slow_rad_s = 0.02F, .timeout = milliseconds(1'000)};
   ModuleBench b(test::hammer_joint(), c);
   b.mode = 6;
   ASSERT_TRUE(b.enable());
