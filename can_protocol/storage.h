@@ -57,8 +57,8 @@ inline constexpr std::size_t kSlotBytes = [] {
   return n;
 }();
 
-/// Stored objects that are not part of the plan: a name, a node id, and what calibrations find. Communication objects that a
-/// master sets at each start do not count either.
+/// Stored objects that are not part of the plan: a name, a node id, and what calibrations find. Communication objects
+/// that a master sets at each start do not count either.
 constexpr bool counts_for_configuration(const Entry& e) noexcept {
   if ((e.flags & kStored) == 0) return false;
   if (e.index < 0x1400) return false;
