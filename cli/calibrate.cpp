@@ -182,8 +182,8 @@ int calibrate(const Arguments& arguments) {
                            .dump(2));
   } else if (writes) {
     fmt::print("{}",
-               wrapped(fmt::format("{} is written. The robot runs on with what it was started with: restart modules "
-                                   "and supervisor (scripts/robot down, scripts/robot up); until then mrr_supervisor "
+               wrapped(fmt::format("{} is written. The robot runs on with what it was started with: restart modules and "
+                                   "supervisor, and an emulator (scripts/robot down, scripts/robot up); until then mrr_supervisor "
                                    "refuses enable, reset, home, calibrate and hammer.",
                                    file.string()),
                        0));

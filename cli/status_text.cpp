@@ -135,6 +135,17 @@ std::string status_text(const Json& hello, const Json& status) {
                           flag(clock, "running") ? "running" : "stands still", clock.value("cycles", 0LL),
                           figure(number(clock, "period_us"), 0), clock.value("missed", 0LL), pace),
               11);
+  if (status.contains("ledger") && status["ledger"].is_object()) {
+    const Json& ledger = status["ledger"];
+    std::string gears;
+    for (const Json& joint : ledger.at("joints")) {
+      gears += fmt::format("{}{} {} % of its life in {} blows, {} above the repeated peak", gears.empty() ? "" : "; ",
+                           text(joint, "name"), figure(number(joint, "life_share") * 100.0, 2),
+                           joint.value("blows", 0LL), joint.value("momentary_events", 0LL));
+    }
+    out += wrapped(fmt::format("  gears    since {}: {}", text(ledger, "since"), gears), 11);
+    if (ledger["problem"].is_string()) out += wrapped(fmt::format("           {}", text(ledger, "problem")), 11);
+  }
   if (status.contains("command") && status["command"].is_object()) {
     const Json& command = status["command"];
     const std::string reason = text(command, "reason", "");

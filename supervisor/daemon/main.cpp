@@ -11,6 +11,7 @@
 #include "common/rpc/runtime_dir.h"
 #include "module_fw/targets/host/module_config.h"
 #include "supervisor/daemon/loops.h"
+#include "supervisor/ledger/ledger_file.h"
 
 namespace {
 
@@ -29,6 +30,7 @@ struct Arguments {
   std::string can;
   std::string plant;
   std::string socket;
+  std::string ledger;
   std::string log_level = "info";
 };
 
@@ -104,6 +106,16 @@ int run(const Arguments& arguments) {
   if (bus.another_supervisor()) {
     throw DescriptionError(fmt::format("--can {}: another supervisor is on this bus; stop it first", options.can));
   }
+  // Gears of a robot in lockstep are emulated: their account is kept only where asked for.
+  std::optional<sup::LedgerFile> ledger;
+  if (!arguments.ledger.empty() || arguments.plant.empty()) {
+    ledger.emplace(robot,
+                   arguments.ledger.empty() ? sup::default_ledger(robot) : std::filesystem::path(arguments.ledger),
+                   sup::today_utc());
+    options.ledger = &*ledger;
+    log.info(fmt::format("{} {}", ledger->begun() ? "a new ledger of the gears is begun in" : "ledger of the gears:",
+                         ledger->file().string()));
+  }
   sup::SupervisorConfig config;
   config.start_disabled = true;
   for (int i = 0; i < robot.dof(); ++i) {
@@ -140,6 +152,10 @@ int main(int argc, char** argv) {
   app.add_option("--socket", arguments.socket,
                  "Unix socket for clients (default: supervisor.sock in $MRR_RUNTIME_DIR, $XDG_RUNTIME_DIR/mrr or "
                  "/tmp/mrr-UID)");
+  app.add_option(
+      "--ledger", arguments.ledger,
+      "File that keeps what the gears have borne (default: ledger-ROBOT in $MRR_STATE_DIR, $STATE_DIRECTORY, "
+      "$XDG_STATE_HOME/mrr or ~/.local/state/mrr; with --plant none)");
   app.add_option("--log-level", arguments.log_level, "debug, info, warning or error")
       ->check(CLI::IsMember({"debug", "info", "warning", "error"}))
       ->option_text("TEXT=info");

@@ -754,8 +754,17 @@ Json Service::status() {
             {"realtime_scheduling", options_.realtime_scheduling},
             {"memory_locked", options_.memory_locked}}},
           {"configuration", {{"source", robot_.source.string()}, {"stale", source_changed_}}},
+          {"ledger", ledger()},
           {"command", command},
           {"job", job}};
+}
+
+Json Service::ledger() const {
+  if (options_.ledger == nullptr) return nullptr;
+  Json json = ledger_json(robot_, options_.ledger->ledger());
+  json["file"] = options_.ledger->file().string();
+  json["problem"] = ledger_problem_.empty() ? Json(nullptr) : Json(ledger_problem_);
+  return json;
 }
 
 Json Service::faults() const {
@@ -941,9 +950,21 @@ void Service::step_job() {
         fmt::format("swing {}: nail {:.1f} mm proud", swing.number, swing.head_height_after_m * 1e3);
     log_.info(text);
     notify("swing", -1, swing.number, text, {{"swing", swing_json(robot_, swing)}});
+    enter_in_ledger(swing);
     cycle_.record(swing.number + 1);
   }
   if (over) end_job(session.verdict(), session.reason());
+}
+
+void Service::enter_in_ledger(const SwingReport& swing) {
+  if (options_.ledger == nullptr) return;
+  try {
+    options_.ledger->enter(swing);
+    ledger_problem_.clear();
+  } catch (const DescriptionError& error) {  // kept in memory, and written with the next swing if it can be
+    ledger_problem_ = error.what();
+    log_.error(ledger_problem_);
+  }
 }
 
 void Service::end_job(Verdict verdict, const std::string& reason) {

@@ -13,6 +13,7 @@
 #include "common/rpc/server.h"
 #include "supervisor/daemon/cycle.h"
 #include "supervisor/daemon/log_book.h"
+#include "supervisor/ledger/ledger_file.h"
 #include "supervisor/strike/session.h"
 
 namespace mrr::sup {
@@ -24,6 +25,7 @@ struct ServiceOptions {
   std::uint32_t protocol_hash = 0;
   bool realtime_scheduling = false;
   bool memory_locked = false;
+  LedgerFile* ledger = nullptr;  ///< of the gears; null: none is kept. Outlives the service
 };
 
 /// Version of the interface in docs/rpc.md.
@@ -87,6 +89,7 @@ class Service final : private RobotPort {
   // Methods
   [[nodiscard]] rpc::Json hello() const;
   [[nodiscard]] rpc::Json status();
+  [[nodiscard]] rpc::Json ledger() const;
   [[nodiscard]] rpc::Json faults() const;
   [[nodiscard]] rpc::Json command(RequestKind kind, int joint = -1);
   [[nodiscard]] rpc::Json move(const rpc::Params& params);
@@ -118,6 +121,7 @@ class Service final : private RobotPort {
   void watch_bus();
   void watch_clock();
   void step_job();
+  void enter_in_ledger(const SwingReport& swing);
   void end_job(Verdict verdict, const std::string& reason);
   void notify(const char* kind, int joint, std::optional<std::int64_t> value, const std::string& text,
               rpc::Json more = rpc::Json::object());
@@ -138,6 +142,7 @@ class Service final : private RobotPort {
   std::int64_t not_sent_seen_ = 0;
   double full_until_s_ = -1.0;
   std::string bus_state_ = "up";
+  std::string ledger_problem_;
   std::deque<Fault> faults_;
   bool source_changed_ = false;
   double source_checked_s_ = -1.0;

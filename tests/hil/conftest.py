@@ -48,7 +48,7 @@ class Process:
         self.log = log
         with open(log, "ab") as out:
             self.popen = subprocess.Popen([program(relative), *map(str, arguments)], stdin=subprocess.DEVNULL, stdout=out,
-                                          stderr=out)
+                                          stderr=out, env={**os.environ, "MRR_STATE_DIR": str(log.parent)})
 
     def text(self):
         return self.log.read_text(errors="replace")

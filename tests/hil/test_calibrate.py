@@ -11,6 +11,7 @@ from conftest import BUILD, ROBOT, wait_until
 from test_supervisor import SUPERVISOR, Rpc, joint
 
 MODULE = "module_fw/targets/linux/mrr_module"
+PLANT = "sim_vcan/targets/mrr_plant"
 
 
 class Calibrated:
@@ -24,11 +25,14 @@ class Calibrated:
             (self.description / name).write_bytes((ROBOT / name).read_bytes())
         self.file = self.description / "robot.yaml"
         self.socket = robot.folder / "supervisor.sock"
-        robot.plant("--lockstep", "--seed", "3")
         self.start()
 
     def start(self):
-        self.started = [self.robot.start(MODULE, "--robot", self.description, "--joint", number, "--can", "vcan0", "--plant", "vcan1")
+        """The emulator too: it takes in only modules that are configured as its own description says."""
+        plant = self.robot.start(PLANT, "--robot", self.description, "--plant", "vcan1", "--socket", self.robot.folder / "plant.sock",
+                                 "--lockstep", "--seed", "3")
+        self.started = [plant]
+        self.started += [self.robot.start(MODULE, "--robot", self.description, "--joint", number, "--can", "vcan0", "--plant", "vcan1")
                         for number in (1, 2, 3)]
         self.started.append(self.robot.start(SUPERVISOR, "--robot", self.description, "--can", "vcan0", "--plant", "vcan1", "--socket", self.socket))
         wait_until(self.socket.exists, what="the supervisor's socket")
@@ -65,7 +69,7 @@ def test_torque_zero_is_written_and_the_stale_configuration_refused(calibrated):
 
     written = calibrated.mrr("calibrate", "joint_3", "--what", "torque-zero", "--write")
     assert written.returncode == 0, written.stderr
-    assert "restart modules and supervisor" in " ".join(written.stdout.split())
+    assert "restart modules and supervisor, and an emulator" in " ".join(written.stdout.split())
     offset = float(re.search(r"calibration: \{torque_offset: (-?[0-9.]+) Nm\}", calibrated.file.read_text()).group(1))
     # What the sensor shows beyond what the model says: a few tenths of Nm of offset, drift and the model's own error.
     assert abs(offset) < 1.5

@@ -111,12 +111,18 @@ class Rpc:
 class Whole:
     """Supervisor, modules and plant of the example robot."""
 
-    def __init__(self, robot, joints=(1, 2, 3), supervisor_robot=ROBOT):
+    def __init__(self, robot, joints=(1, 2, 3), supervisor_robot=ROBOT, ledger=None):
         self.robot = robot
         self.socket = robot.folder / "supervisor.sock"
         self.plant = robot.plant("--lockstep")
         self.modules = {joint: robot.module(joint) for joint in joints}
-        self.supervisor = robot.start(SUPERVISOR, "--robot", supervisor_robot, "--can", "vcan0", "--plant", "vcan1", "--socket", self.socket)
+        self.arguments = ["--robot", supervisor_robot, "--can", "vcan0", "--plant", "vcan1", "--socket", self.socket]
+        if ledger:
+            self.arguments += ["--ledger", ledger]
+        self.start_supervisor()
+
+    def start_supervisor(self):
+        self.supervisor = self.robot.start(SUPERVISOR, *self.arguments)
         wait_until(self.socket.exists, what="the supervisor's socket")
         self.rpc = Rpc(self.socket)
 
@@ -372,3 +378,27 @@ def test_real_time_without_modules_counts_cycles_and_reports_a_bus_that_goes_dow
     assert supervisor.alive()
     supervisor.popen.send_signal(signal.SIGINT)
     assert supervisor.popen.wait(10) == 0
+
+
+def test_what_the_gears_have_borne_is_kept_over_a_restart(fresh_robot):
+    path = fresh_robot.folder / "ledger"
+    whole = Whole(fresh_robot, ledger=path).ticking()
+    ledger = whole.rpc.get("status")["ledger"]
+    assert [joint["blows"] for joint in ledger["joints"]] == [0, 0, 0] and ledger["file"] == str(path)
+    whole.rpc.done("enable")
+    whole.rpc.get("hammer", swings=1)
+    whole.rpc.wait(lambda s: s["job"] and s["job"]["state"] == "done")
+    ledger = whole.rpc.get("status")["ledger"]
+    assert ledger["problem"] is None
+    assert all(joint["blows"] == 1 and joint["blows_not_seen"] == 0 and joint["life_share"] > 0 for joint in ledger["joints"][1:])
+    assert ledger["joints"][1]["largest_peak_nm"] > 1.0
+    assert path.stat().st_mode & 0o777 == 0o600
+    whole.supervisor.stop()
+    whole.start_supervisor()
+    assert whole.ticking().rpc.get("status")["ledger"] == ledger
+    whole.supervisor.stop()
+    path.write_bytes(path.read_bytes()[:-7])  # torn
+    refused = fresh_robot.start(SUPERVISOR, *whole.arguments)
+    assert refused.popen.wait(10) == 2
+    assert str(path) in refused.text()
+    fresh_robot.processes.remove(refused)

@@ -43,6 +43,10 @@ class Wire:
         self.socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
         self.socket.bind((interface,))
 
+    def hear_standard_only(self):
+        """Extended frames no longer arrive here."""
+        self.socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, struct.pack("=II", 0, EXTENDED))
+
     def close(self):
         self.socket.close()
 
@@ -80,8 +84,9 @@ class Wire:
                      bool(word & REMOTE), bool(word & EXTENDED))
 
     def drain(self):
-        """Forgets what has arrived."""
-        while self.receive(0):
+        """Forgets what has arrived until now; frames may come faster than they are read."""
+        now = time.time()  # the kernel's stamps are of this clock
+        while (frame := self.receive(0)) and frame.at < now:
             pass
 
     def collect(self, seconds, *ids):

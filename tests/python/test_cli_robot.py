@@ -411,7 +411,7 @@ def test_calibrate_shows_the_fit_and_a_diff_and_writes_nothing_unasked(superviso
 
 def test_calibrate_write_keeps_everything_else_and_says_what_to_do_next(supervisor, mrr, calibrating, robot_folder, source_dir):
     ended = mrr("calibrate", "joint_3", "--write")
-    assert ended.returncode == 0 and "restart modules and supervisor" in " ".join(ended.stdout.split()), ended.stderr
+    assert ended.returncode == 0 and "restart modules and supervisor, and an emulator" in " ".join(ended.stdout.split()), ended.stderr
     assert changed(robot_folder, source_dir) == [
         "torque_constant_positive: 0.1952 Nm/A", "torque_constant_negative: 0.2464 Nm/A", "coulomb: 4 Nm                    # [I]",
         "stribeck_decay: 1000 s^2/rad^2   # [I]", "viscous: 1.8 Nm s/rad            # [I]"]
