@@ -181,12 +181,14 @@ int calibrate(const Arguments& arguments) {
                             {"written", writes}}
                            .dump(2));
   } else if (writes) {
-    fmt::print("{}",
-               wrapped(fmt::format("{} is written. The robot runs on with what it was started with: restart modules and "
-                                   "supervisor, and an emulator (scripts/robot down, scripts/robot up); until then mrr_supervisor "
-                                   "refuses enable, reset, home, calibrate and hammer.",
-                                   file.string()),
-                       0));
+    fmt::print(
+        "{}",
+        wrapped(
+            fmt::format("{} is written. The robot runs on with what it was started with: restart modules and "
+                        "supervisor, and an emulator (scripts/robot down, scripts/robot up); until then mrr_supervisor "
+                        "refuses enable, reset, home, calibrate and hammer.",
+                        file.string()),
+            0));
   } else if (differs) {
     fmt::print("Nothing was written; --write does it.\n");
   } else if (!edits.empty()) {
