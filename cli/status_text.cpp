@@ -138,12 +138,17 @@ std::string status_text(const Json& hello, const Json& status) {
   if (status.contains("ledger") && status["ledger"].is_object()) {
     const Json& ledger = status["ledger"];
     std::string gears;
+    long long blows = 0;
     for (const Json& joint : ledger.at("joints")) {
-      gears += fmt::format("{}{} {} % of its life in {} blows, {} above the repeated peak", gears.empty() ? "" : "; ",
-                           text(joint, "name"), figure(number(joint, "life_share") * 100.0, 2),
-                           joint.value("blows", 0LL), joint.value("momentary_events", 0LL));
+      const long long events = joint.value("momentary_events", 0LL);
+      gears += fmt::format("{}{} {:.1g} %", gears.empty() ? "" : ", ", text(joint, "name"),
+                           number(joint, "life_share") * 100.0);
+      if (events > 0) gears += fmt::format(" ({} peak{} above the repeated peak)", events, events == 1 ? "" : "s");
+      blows = std::max(blows, joint.value("blows", 0LL));
     }
-    out += wrapped(fmt::format("  gears    since {}: {}", text(ledger, "since"), gears), 11);
+    out += wrapped(fmt::format("  gears    life used in {} blow{} since {}: {}", blows, blows == 1 ? "" : "s",
+                               text(ledger, "since"), gears),
+                   11);
     if (ledger["problem"].is_string()) out += wrapped(fmt::format("           {}", text(ledger, "problem")), 11);
   }
   if (status.contains("command") && status["command"].is_object()) {
