@@ -42,8 +42,16 @@ def status():
         "clock": {"kind": "realtime", "running": True, "period_us": 1000.0, "cycles": 12750, "missed": 3,
                   "late_us": {"p50": 60.0, "p99": 120.0, "p999": 300.0, "max": 2000.0},
                   "work_us": {"p50": 10.0, "p99": 20.0, "p999": 30.0, "max": 40.0}, "realtime_scheduling": True, "memory_locked": True},
-        "configuration": {"source": "robots/mrr3", "stale": False}, "command": None, "job": None,
+        "configuration": {"source": "robots/mrr3", "stale": False}, "ledger": ledger(), "command": None, "job": None,
     }
+
+
+def ledger():
+    uses = {"rated": 0.4, "repeated_peak": 0.2, "momentary_peak": 0.1}
+    joints = [{"name": f"joint_{number}", "blows": 7, "blows_not_seen": 0, "peaks_over_rated": 3, "momentary_events": events,
+               "peaks_over_momentary": 0, "largest_peak_nm": 20.5, "largest_use_square": uses, "largest_use_half_sine": uses,
+               "life_share": life} for number, events, life in ((1, 0, 0.0), (2, 1, 2.3e-4), (3, 0, 4e-6))]
+    return {"since": "2026-01-31", "joints": joints, "file": "/var/lib/mrr/ledger-mrr3", "problem": None}
 
 
 class Supervisor:
@@ -127,6 +135,8 @@ def test_status_shows_each_joint_with_units_problems_and_what_to_do(supervisor, 
     assert re.search(r"joint_2 +enabled +follows +28\.65 +0\.0 +1\.5 +31", text), text
     assert re.search(r"joint_3 +faulted +none +- ", text), "an unknown position is no number"
     assert "first fault 8130h heartbeat lost at 12.500 s" in text and "not homed; mrr home joint_3" in text
+    assert ("gears life used in 7 blows since 2026-01-31: joint_1 0 %, joint_2 0.02 % (1 peak above the repeated peak), joint_3 0.0004 %"
+            in " ".join(text.split()))
     assert "3 missed" in text and max(map(len, text.splitlines())) <= 79
 
 
