@@ -19,9 +19,9 @@ GENERATOR = ["/usr/bin/python3", ROOT / "can_protocol" / "generate.py"]
 
 
 def dump(path, seconds_of):
-    """Records vcan0 with candump while `seconds_of` runs."""
+    """Records vcan0 with candump while `seconds_of` runs; with room for what comes while it has to wait for its turn."""
     with open(path, "wb") as out:
-        process = subprocess.Popen(["candump", "-L", "vcan0"], stdout=out)
+        process = subprocess.Popen(["candump", "-L", "-r", str(1 << 23), "vcan0"], stdout=out)
         try:
             time.sleep(0.3)
             seconds_of()

@@ -8,7 +8,7 @@ import subprocess
 
 import pytest
 
-OPTIONS = ("--help", "--robot", "--board", "--seed", "--boot-delay", "--out", "--swings", "--mode", "--as-printed", "--experiment", "--json", "--no-report", "--bus", "--socket",
+OPTIONS = ("--help", "--robot", "--board", "--seed", "--boot-delay", "--out", "--swings", "--mode", "--as-printed", "--experiment", "--json", "--no-report", "--bus", "--socket", "--ledger",
            "--plant-socket")
 DOCUMENTED = ("flush", "verdict", "reason", "nail_height_mm", "realtime_factor", "within_limits", "plan", "swings")
 
