@@ -268,7 +268,9 @@ def test_ctrl_c_is_one_line_and_leaves_nothing(source_dir, copy, after_s):
         pytest.skip("was done before")
     child.send_signal(signal.SIGINT)
     errors = child.communicate()[1]
-    assert child.returncode == 130
+    if after_s > 0.5 and child.returncode == 0 and not errors:
+        pytest.skip("was all but done")
+    assert child.returncode == 130, errors
     assert errors == "report.py: interrupted\n"
     assert [path for path in sorted(copy.iterdir()) if path.name != "report.html"] == before
 
