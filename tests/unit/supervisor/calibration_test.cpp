@@ -84,7 +84,9 @@ struct Case {
 class Friction : public testing::TestWithParam<Case> {};
 INSTANTIATE_TEST_SUITE_P(JointsAndSeeds, Friction,
                          testing::Values(Case{0, 1, 1.3, 1.08}, Case{0, 2, 0.7, 0.92}, Case{1, 3, 1.3, 0.92},
-                                         Case{1, 4, 0.7, 1.08}, Case{2, 5, 1.3, 1.08}, Case{2, 6, 0.7, 0.92}));
+                                         Case{1, 4, 0.7, 1.08}, Case{2, 5, 1.3, 1.08}, Case{2, 6, 0.7, 0.92},
+                                         Case{0, 11, 0.7, 0.92}, Case{1, 12, 1.3, 0.92}, Case{2, 13, 0.7, 1.08},
+                                         Case{0, 14, 1.3, 1.08}, Case{1, 15, 0.7, 0.92}, Case{2, 16, 1.3, 0.92}));
 
 TEST_P(Friction, IsFoundWithinATenthOfWhatIsTrue) {
   const Case& c = GetParam();
