@@ -77,4 +77,16 @@ class PlantBench : public BenchOf<PlantJoint> {
   }
 };
 
+/// Up and down by 0.3 rad, 0.95 rad/s at the most, from rest.
+inline void swing(PlantBench& b) {
+  const double start = b.seconds_now();
+  const double here = double{b.status().reference_position_rad};
+  b.trajectory = [=](double t) {
+    const double w = 3.2;
+    const double x = w * (t - start);
+    return MotionState{static_cast<float>(here + 0.15 * (1.0 - std::cos(x))),
+                       static_cast<float>(0.15 * w * std::sin(x)), static_cast<float>(0.15 * w * w * std::cos(x))};
+  };
+}
+
 }  // namespace mrr::fw::test

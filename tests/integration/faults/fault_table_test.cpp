@@ -49,17 +49,6 @@ std::int16_t current_counts(const ModuleConfig& c, float amperes) {
 std::int16_t torque_counts(const ModuleConfig& c, float nm) {
   return static_cast<std::int16_t>(nm / c.sensing.torque_full_scale_nm * 32767.0F);
 }
-/// Up and down by 0.3 rad, 0.95 rad/s at the most, from rest.
-void swing(PlantBench& b) {
-  const double start = b.seconds_now();
-  const double here = double{b.status().reference_position_rad};
-  b.trajectory = [=](double t) {
-    const double w = 3.2;
-    const double x = w * (t - start);
-    return MotionState{static_cast<float>(here + 0.15 * (1.0 - std::cos(x))),
-                       static_cast<float>(0.15 * w * std::sin(x)), static_cast<float>(0.15 * w * w * std::cos(x))};
-  };
-}
 void no_following_error(ModuleConfig& c) { c.limits.following_error_rad = 0.0F; }
 /// So little torque that the arm falls.
 void let_fall(PlantBench& b) { b.write(0x6072, 0, 100, 2); }

@@ -54,14 +54,7 @@ TEST_P(OptionCode, SaysHowTheJointStops) {
   b.write(choice.object, 0, choice.code, 2);
   ASSERT_TRUE(b.enable());
   ASSERT_TRUE(b.follow_here());
-  const double start = b.seconds_now();
-  const double here = double{b.status().reference_position_rad};
-  b.trajectory = [=](double t) {
-    const double w = 3.2;
-    const double x = w * (t - start);
-    return MotionState{static_cast<float>(here + 0.15 * (1.0 - std::cos(x))),
-                       static_cast<float>(0.15 * w * std::sin(x)), static_cast<float>(0.15 * w * w * std::cos(x))};
-  };
+  swing(b);
   b.run(0.5);
   ASSERT_GT(b.status().velocity_rad_s, 0.4F);
 
