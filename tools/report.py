@@ -89,4 +89,7 @@ def main():
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    status = main()
+    # All is written. While the interpreter ends, it would put the default back, and an interrupt would kill it.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    sys.exit(status)
