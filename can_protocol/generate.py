@@ -275,11 +275,10 @@ class Schema:
                 raise SchemaError(f"fault {name}: no emergency {fault['emergency']}")
             if fault["reaction"] not in reactions:
                 raise SchemaError(f"fault {name}: reaction {fault['reaction']} is none of {reactions}")
-            configured = fault.get("reaction_object")
-            if configured:
-                entry = self.by_name.get(configured)
-                if entry is None or entry.default != reactions.index(fault["reaction"]):
-                    raise SchemaError(f"fault {name}: {configured} is no object, or its default is not {fault['reaction']}")
+            configured = fault.get("reaction_object", [])
+            entries = [self.by_name.get(n) for n in configured]
+            if None in entries or (entries and entries[0].default != reactions.index(fault["reaction"])):
+                raise SchemaError(f"fault {name}: one of {configured} is no object, or the first one's default is not {fault['reaction']}")
             names.add(name)
             used.add(fault["emergency"])
 
@@ -655,7 +654,8 @@ def markdown_faults(schema):
         return f"{fault['time_ms']} ms" if fault["time_ms"] else "at once"
 
     def reaction(fault):
-        return fault["reaction"] + (f" ({place(fault['reaction_object'])})" if "reaction_object" in fault else "")
+        configured = fault.get("reaction_object", [])
+        return fault["reaction"] + (f" ({', '.join(place(n) for n in configured)})" if configured else "")
 
     out = ["# Faults", "", "Made by `can_protocol/generate.py` from `can_protocol/schema/module.yaml`; do not edit.", "",
            "The code is what EMCY, 603Fh and `error_or_limit` (2013h, in TPDO2) say. The first fault is kept in 2030h with its time and a picture of the joint until the faults are reset "

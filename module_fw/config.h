@@ -125,6 +125,9 @@ struct LimitsConfig {
   Duration following_error_time = milliseconds(50);
 };
 
+/// What homing looks for.
+enum class HomingMark : std::uint8_t { home_switch, limit_switch, index };
+
 struct HomingConfig {
   std::int8_t method = -1;           ///< 6098h: -1 on the switch, 37 here
   float switch_position_rad = 0.0F;  ///< what the joint reads at the switch's edge
@@ -136,6 +139,8 @@ struct HomingConfig {
   float max_torque_nm = 0.0F;   ///< beyond what the joint carries; 0: not capped
   bool index = false;  ///< after the edge goes on to the encoder's next index pulse, which is the reference then
   float index_position_rad = 0.0F;  ///< what the joint reads there
+  HomingMark mark = HomingMark::home_switch;
+  bool leaving = false;  ///< the reference is the edge as the joint leaves the switch, not as it meets it
 };
 
 struct BrakeConfig {
@@ -152,7 +157,10 @@ struct WatchdogConfig {
   Duration torque_target = milliseconds(100);         ///< in mode 10: without a target for longer it holds
   /// As 2131h: 0 report, 2 hold, 3 stop, 4 damp. Of knots, torque targets, heartbeat, SYNC, bus-off.
   std::array<std::uint8_t, 5> reactions{2, 2, 3, 3, 3};
-  Duration loop = milliseconds(10);  ///< longer between two ticks, while led, is a fault
+  std::array<std::uint8_t, 2> torque_reactions{3, 3};         ///< 2132h: mode 10; of heartbeat, bus-off
+  std::array<std::uint8_t, 4> passive_reactions{0, 0, 0, 0};  ///< 2133h: of knots, heartbeat, SYNC, bus-off
+  Duration passive;                                           ///< passive: without knots for longer; 0: not watched
+  Duration loop = milliseconds(10);                           ///< longer between two ticks, while led, is a fault
 };
 
 /// All of it. Copied from the robot description on a PC, or linked in as a table on a microcontroller.

@@ -159,7 +159,8 @@ Module::Module(const ModuleConfig& config) noexcept
       brake_(config_.brake),
       usable_at_start_(usable(config)),
       faults_(config_.tick),
-      sensor_watch_(config_) {
+      sensor_watch_(config_),
+      swing_watch_(config_.friction, config_.tick) {
   stand_if(Fault::configuration, !usable_at_start_);
   status_.homed = config_.sensing.encoder_absolute;
   overrun_after_ = config_.tick + config_.tick / 2;
@@ -215,6 +216,13 @@ void Module::fill_objects() noexcept {
   od_.reaction_heartbeat_lost = c.watchdog.reactions[2];
   od_.reaction_sync_lost = c.watchdog.reactions[3];
   od_.reaction_bus_off = c.watchdog.reactions[4];
+  od_.watchdog_passive_ms = static_cast<std::uint16_t>(to_ms(c.watchdog.passive));
+  od_.reaction_torque_heartbeat_lost = c.watchdog.torque_reactions[0];
+  od_.reaction_torque_bus_off = c.watchdog.torque_reactions[1];
+  od_.reaction_passive_knots_lost = c.watchdog.passive_reactions[0];
+  od_.reaction_passive_heartbeat_lost = c.watchdog.passive_reactions[1];
+  od_.reaction_passive_sync_lost = c.watchdog.passive_reactions[2];
+  od_.reaction_passive_bus_off = c.watchdog.passive_reactions[3];
   od_.torque_sensor_offset_nm = c.sensing.torque_offset_nm;
   od_.homing_method = c.homing.method;
   od_.homing_switch_position_urad = micro_rad(c.homing.switch_position_rad);
@@ -300,6 +308,7 @@ void Module::apply_parameters() noexcept {
   selector_ = make_selector(c.passive, c.tick);
   drive_.configure(c.drive, c.limits);
   sensor_watch_.configure(c);
+  swing_watch_ = SwingWatch(c.friction, c.tick);
   if (new_bit) selection_ = SelectionSwitch(c.selection_bit);  // otherwise what it acknowledged still stands
   homing_.configure(c.homing);
   if (new_period) pll_ = SyncPll(knot_period);
@@ -399,11 +408,7 @@ void Module::written(can::ObjectId id, can::WriteSource source, Time at) noexcep
 // Objects that are in force at once.
 void Module::apply_live_parameters() noexcept {
   max_torque_nm_ = static_cast<float>(od_.max_torque_permille) * 1e-3F * config_.drive.rated_torque_nm;
-  faults_.set_reaction(Fault::knots_lost, static_cast<Reaction>(od_.reaction_knots_lost));
-  faults_.set_reaction(Fault::torque_target_lost, static_cast<Reaction>(od_.reaction_torque_target_lost));
-  faults_.set_reaction(Fault::heartbeat_lost, static_cast<Reaction>(od_.reaction_heartbeat_lost));
-  faults_.set_reaction(Fault::sync_lost, static_cast<Reaction>(od_.reaction_sync_lost));
-  faults_.set_reaction(Fault::bus_off, static_cast<Reaction>(od_.reaction_bus_off));
+  choose_reactions();
   sensing_.set_torque_offset(od_.torque_sensor_offset_nm);
   const ControlConfig& k = config_.control;
   const float own_damping = 2.0F * k.lambda_1_s * k.inertia_kg_m2;
@@ -413,7 +418,30 @@ void Module::apply_live_parameters() noexcept {
   following_error_limit_ticks_ = milliseconds(od_.following_error_timeout_ms) / config_.tick;
 }
 
+// What a silent source leads to in the mode in force. A joint in FAULT keeps what brought it there.
+void Module::choose_reactions() noexcept {
+  if (machine_.state() == DriveState::fault || machine_.state() == DriveState::fault_reaction_active) return;
+  const auto choose = [this](Fault fault, std::uint8_t number) {
+    const auto reaction = static_cast<Reaction>(number);
+    // A harder one is as good as a new fault: told again.
+    if (reaction > faults_.reaction_of(fault)) raised_ &= ~FaultMonitor::bit(fault);
+    faults_.set_reaction(fault, reaction);
+  };
+  const can::ObjectDictionary& od = od_;
+  const bool torque = mode_ == Mode::cyclic_torque;
+  choose(Fault::knots_lost, passive() ? od.reaction_passive_knots_lost : od.reaction_knots_lost);
+  choose(Fault::torque_target_lost, od.reaction_torque_target_lost);
+  choose(Fault::heartbeat_lost, passive() ? od.reaction_passive_heartbeat_lost
+                                : torque  ? od.reaction_torque_heartbeat_lost
+                                          : od.reaction_heartbeat_lost);
+  choose(Fault::sync_lost, passive() ? od.reaction_passive_sync_lost : od.reaction_sync_lost);
+  choose(Fault::bus_off, passive() ? od.reaction_passive_bus_off
+                         : torque  ? od.reaction_torque_bus_off
+                                   : od.reaction_bus_off);
+}
+
 void Module::pdo_delivered(std::uint8_t number, Time received) noexcept {
+  if (number == 2 || number == 3) set_point_at_ = received;
   if (number == 2) knot_position_came_ = true;
   if (number == 3) {
     knot_acceleration_came_ = knots_have_sequence_ = true;
@@ -546,6 +574,14 @@ void Module::bus_recovered(Time now) noexcept {
   bus_off_ = false;
 }
 
+void Module::bus_passive(bool is, Time now) noexcept {
+  if (is) {
+    node_.raise(Emergency::can_passive, {}, now);
+  } else {
+    node_.clear(Emergency::can_passive, now);
+  }
+}
+
 void Module::heartbeat_seen(std::uint8_t node_id, can::NmtState, Time) noexcept {
   if (node_id == config_.supervisor_node_id) heartbeat_lost_ = false;
 }
@@ -626,7 +662,8 @@ void Module::settle_faults(Time now) noexcept {
   const auto tell = [&](Fault fault) {
     raised_ |= FaultMonitor::bit(fault);
     fail(fault, now);
-    const bool silence = fault == Fault::heartbeat_lost || fault == Fault::sync_lost || fault == Fault::bus_off;
+    const bool silence = fault == Fault::heartbeat_lost || fault == Fault::sync_lost || fault == Fault::bus_off ||
+                         (fault == Fault::knots_lost && passive());
     if (silence && faults_.reaction_of(fault) == Reaction::hold && brake_.motion_allowed())
       stop_at_limit(LimitCode::watchdog);
   };
@@ -679,9 +716,8 @@ void Module::find_faults(Time now, const RawSensors& sensors) noexcept {
   const unsigned switches = sensing_.inputs() & kLimitSwitches;
   faults_.check(Fault::limit_switches, switches == kLimitSwitches);
   if (switches == 0) pass(Fault::limit_switch);
-  // A switch that is armed, or a passive phase that runs, is carried through even without a supervisor: both are
-  // bounded.
-  if (enabled && !(selection_.armed() || passive())) {
+  // A switch that is armed is carried through even without a supervisor; what a passive phase does is configured.
+  if (enabled && !selection_.armed()) {
     faults_.check(Fault::heartbeat_lost, heartbeat_lost_);
     faults_.check(Fault::sync_lost, now > sync_due_ && mode_ == Mode::cyclic_position);
     faults_.check(Fault::bus_off, bus_off_);
@@ -697,7 +733,7 @@ void Module::find_faults(Time now, const RawSensors& sensors) noexcept {
   constexpr float kBeyond = can::row_of(Fault::position_limit).threshold;
   const bool outward =
       (q > c.limits.upper_rad + kBeyond && v > kOutward) || (q < c.limits.lower_rad - kBeyond && v < -kOutward);
-  if (outward) faults_.check(Fault::position_limit, status_.homed);
+  if (outward) faults_.check(Fault::position_limit, status_.homed && !homing_.running());
   if (!sensing_.input(kInputBrakeReleased)) faults_.check(Fault::brake_closed, brake_.brake_open());
   if (enabled && selector_.law() == Law::active && brake_.motion_allowed() && !torque_mode() &&
       !selector_.catching_up()) {
@@ -804,6 +840,7 @@ float Module::ramp_rad_s2(std::int16_t option) const noexcept {
 void Module::enable() noexcept {
   if (parameters_changed_) apply_parameters();
   if (!configuration_valid()) return;
+  choose_reactions();
   active_.reset();
   reference_.start_at(sensing_.position_rad(), sensing_.velocity_rad_s(), config_.reference.stop_deceleration_rad_s2);
   if (selector_.law() == Law::off) selector_.go_active();
@@ -864,6 +901,7 @@ void Module::go_passive(Time now) noexcept {
   was_blending_ = true;
   status_.selection_executed_at = now;
   ++od_.count_selections;
+  choose_reactions();
 }
 
 // Where the joint is and as fast as it is, nothing remembered; from there it comes to rest and holds.
@@ -872,6 +910,7 @@ void Module::go_active() noexcept {
   reference_.start_at(sensing_.position_rad(), sensing_.velocity_rad_s(), config_.reference.stop_deceleration_rad_s2);
   selector_.go_active();
   saturated_ = false;
+  choose_reactions();
 }
 
 PassiveLaw::Evidence Module::evidence() const noexcept {
@@ -906,6 +945,7 @@ void Module::follow_mode(Time now) noexcept {
   homing_.abort();
   limit_stop_ = false;
   mode_ = mode;
+  choose_reactions();
 }
 
 // Who leads; what changes when that changes; the law that is due.
@@ -1064,6 +1104,15 @@ void Module::carry_out_selection(Time now) noexcept {
   }
 }
 
+Homing::Inputs Module::homing_inputs() const noexcept {
+  return {.home_switch = sensing_.input(kInputHomeSwitch),
+          .negative_limit = sensing_.input(kInputNegativeLimit),
+          .positive_limit = sensing_.input(kInputPositiveLimit),
+          .index_pulse = sensing_.input(kInputIndexPulse),
+          .position_rad = sensing_.position_rad(),
+          .effort_nm = status_.torque_command_nm - load_torque_nm_};
+}
+
 void Module::run_homing(Time now) noexcept {
   if (!homing_start_bit_ && homing_.running()) {
     homing_.abort();
@@ -1076,7 +1125,7 @@ void Module::run_homing(Time now) noexcept {
       status_.homed = true;
     } else {
       homing_.configure(homing_by_method(config_.homing, od_.homing_method));
-      homing_.start(now, sensing_.input(kInputHomeSwitch), sensing_.position_rad());
+      homing_.start(now, homing_inputs());
       const float acceleration = static_cast<float>(od_.homing_acceleration_mrad_s2) * 1e-3F;
       reference_.move_at(homing_.velocity_rad_s(), acceleration);
     }
@@ -1084,10 +1133,7 @@ void Module::run_homing(Time now) noexcept {
   }
   if (!homing_.running()) return;
   const float before = homing_.velocity_rad_s();
-  const bool at_edge = homing_.update(
-      now, {sensing_.input(kInputHomeSwitch), sensing_.input(kInputNegativeLimit), sensing_.input(kInputPositiveLimit),
-            sensing_.input(kInputIndexPulse), sensing_.position_rad(), status_.torque_command_nm - load_torque_nm_});
-  if (at_edge) {
+  if (homing_.update(now, homing_inputs())) {
     const float offset = static_cast<float>(od_.home_offset_urad) * 1e-6F;
     reference_.shift(sensing_.set_position(homing_.reference_rad() + offset));
     status_.homed = true;
@@ -1152,6 +1198,10 @@ void Module::watch_motion(Time now) noexcept {
   const bool above = q > l.upper_rad + kPositionSlack && status_.homed;
   const bool below = q < l.lower_rad - kPositionSlack && status_.homed;
   if (passive()) {
+    if (od_.watchdog_passive_ms != 0) {
+      const Time last = set_point_at_ > passive_since_ ? set_point_at_ : passive_since_;
+      stand_if(Fault::knots_lost, now - last > milliseconds(od_.watchdog_passive_ms));
+    }
     LimitCode ended = LimitCode::none;
     if (now - passive_since_ >= config_.passive.max_time) ended = LimitCode::passive_time;
     if (!(absolute(q - passive_from_rad_) <= config_.passive.max_travel_rad)) ended = LimitCode::passive_travel;
@@ -1276,6 +1326,7 @@ void Module::guard_passivity() noexcept {
                                            carried_nm, !saturated_ && !selector_.catching_up());
   status_.active_torque_nm = law.torque_nm;
   status_.compensator_nm = law.compensator_nm;
+  if (reference_.at_rest()) swing_watch_.update(law.torque_nm);
   return selector_.step(law.torque_nm, 0.0F);
 }
 
@@ -1390,6 +1441,7 @@ can::LimitCode Module::active_limit() const noexcept {
   if (passivity_lost_) return LimitCode::passivity_guard;
   if (passive_ended_by_ != LimitCode::none) return passive_ended_by_;
   if (load_by_model_ && config_.sensing.torque_sensor) return LimitCode::model_torque;
+  if (swing_watch_.swings()) return LimitCode::torque_swings;
   switch (drive_limit_) {
     case DriveLimit::none:
       break;
@@ -1411,7 +1463,8 @@ can::LimitCode Module::active_limit() const noexcept {
 std::uint16_t Module::statusword() const noexcept {
   std::uint32_t word = machine_.state_bits() | static_cast<std::uint32_t>(kStatusRemote);
   if (sensing_.bus_voltage_v().valid) word |= kStatusVoltageEnabled;
-  if (raised_ != 0 && !faults_.disables()) word |= kStatusWarning;
+  const bool in_fault = machine_.state() == DriveState::fault || machine_.state() == DriveState::fault_reaction_active;
+  if (raised_ != 0 && !in_fault && !faults_.disables()) word |= kStatusWarning;
   if (status_.limit != LimitCode::none) word |= kStatusInternalLimit;
   switch (mode_) {
     case Mode::homing:

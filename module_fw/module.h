@@ -27,6 +27,7 @@
 #include "module_fw/drive/drive.h"
 #include "module_fw/faults/fault_monitor.h"
 #include "module_fw/faults/sensor_watch.h"
+#include "module_fw/faults/swing_watch.h"
 #include "module_fw/joint_io.h"
 #include "module_fw/sensing/sensing.h"
 #include "module_fw/status.h"
@@ -55,6 +56,8 @@ class Module final : private can::NodeApplication {
   /// The shell's CAN controller went bus-off, or is back.
   void bus_off(Time now) noexcept;
   void bus_recovered(Time now) noexcept;
+  /// It is error-passive, or no longer: EMCY 8120h and its error reset; nothing else changes.
+  void bus_passive(bool is, Time now) noexcept;
 
   /// For tests and telemetry only: nothing on the robot's bus depends on it.
   [[nodiscard]] const ModuleStatus& status() const noexcept {
@@ -93,6 +96,7 @@ class Module final : private can::NodeApplication {
   /// Objects -> laws and limits: what was written over the bus comes into force when the joint is enabled.
   void apply_parameters() noexcept;
   void apply_live_parameters() noexcept;
+  void choose_reactions() noexcept;
   [[nodiscard]] can::Abort begin_write(const can::ObjectDictionary* od) noexcept;
   void publish_storage() noexcept;
 
@@ -108,6 +112,7 @@ class Module final : private can::NodeApplication {
   inline void follow_mode(Time now) noexcept;
   inline void carry_out_selection(Time now) noexcept;
   void run_homing(Time now) noexcept;
+  [[nodiscard]] Homing::Inputs homing_inputs() const noexcept;
   void run_calibration(Time now) noexcept;
   void end_calibration() noexcept;
   void run_identification() noexcept;
@@ -221,6 +226,7 @@ class Module final : private can::NodeApplication {
   bool load_by_model_ = false;    ///< the torque sensor is lost
   bool load_catches_up_ = false;  ///< on the way from one source to the other
   Time knot_came_at_;
+  Time set_point_at_;                       ///< RPDO2 or RPDO3
   Time model_torque_until_ = kBeforeStart;  ///< 60B2h came with a knot and is fresh
   bool saturated_ = false;
   float max_torque_nm_ = 0.0F;
@@ -232,6 +238,7 @@ class Module final : private can::NodeApplication {
   // Faults
   FaultMonitor faults_;
   SensorWatch sensor_watch_;
+  SwingWatch swing_watch_;
   std::uint64_t standing_ = 0;                      ///< causes that were found once and last, a bit each
   std::uint64_t raised_ = 0;                        ///< causes the bus was told of, a bit each
   can::Reaction reaction_ = can::Reaction::report;  ///< what is being done about them

@@ -263,6 +263,17 @@ WatchdogDescription read_watchdog(const YamlReader& yaml, const BusDescription& 
     }
   }
   if (const auto bus_off = yaml.optional_section("bus_off")) w.bus_off = bus_off->choice("reaction", any, w.bus_off);
+  if (const auto torque = yaml.optional_section("in_torque_mode")) {
+    w.torque_heartbeat = torque->choice("heartbeat", any, w.torque_heartbeat);
+    w.torque_bus_off = torque->choice("bus_off", any, w.torque_bus_off);
+  }
+  if (const auto passive = yaml.optional_section("while_passive")) {
+    w.passive_knots_s = passive->number("knots_timeout", Unit::time, {0.0, 10.0}, w.passive_knots_s);
+    w.passive_knots = passive->choice("knots", any, w.passive_knots);
+    w.passive_heartbeat = passive->choice("heartbeat", any, w.passive_heartbeat);
+    w.passive_sync = passive->choice("sync", any, w.passive_sync);
+    w.passive_bus_off = passive->choice("bus_off", any, w.passive_bus_off);
+  }
   return w;
 }
 

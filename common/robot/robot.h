@@ -123,7 +123,7 @@ struct HomingDescription {
   std::optional<double> index_position_rad;  ///< given: goes on to the encoder's index pulse, which is there
 };
 
-/// What a joint does about a source that fell silent; numbers as in object 2131h.
+/// What a joint does about a source that fell silent; numbers as in objects 2131h to 2133h.
 enum class SilenceReaction : std::uint8_t {
   report = 0,  ///< says so and goes on
   hold = 2,    ///< controlled stop, holds under torque
@@ -142,6 +142,13 @@ struct WatchdogDescription {
   double sync_s = 0.05;  ///< while led by knots; 0: not watched
   SilenceReaction sync = SilenceReaction::stop;
   SilenceReaction bus_off = SilenceReaction::stop;
+  SilenceReaction torque_heartbeat = SilenceReaction::stop;  ///< in torque mode
+  SilenceReaction torque_bus_off = SilenceReaction::stop;
+  double passive_knots_s = 0.0;  ///< while passive; 0: not watched
+  SilenceReaction passive_knots = SilenceReaction::report;
+  SilenceReaction passive_heartbeat = SilenceReaction::report;
+  SilenceReaction passive_sync = SilenceReaction::report;
+  SilenceReaction passive_bus_off = SilenceReaction::report;
 };
 
 struct BrakeDescription {

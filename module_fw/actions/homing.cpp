@@ -1,5 +1,7 @@
 #include "module_fw/actions/homing.h"
 
+#include <array>
+
 #include "module_fw/control/scalar_math.h"
 
 namespace mrr::fw {
@@ -11,20 +13,45 @@ constexpr std::int32_t kHardTicks = 20;  // breaking loose takes a moment of mor
 }  // namespace
 
 HomingConfig homing_by_method(HomingConfig config, std::int8_t method) noexcept {
-  const bool index = method == 4 || method == 6;
-  const bool positive = method == 4 || method == 20;
-  if (!index && !positive && method != 22) return config;
-  config.direction = positive ? 1 : -1;
-  config.index = index;
+  struct Search {
+    HomingMark mark;
+    int direction;
+    bool leaving;
+  };
+  constexpr std::array<Search, 6> kEdges{{{HomingMark::limit_switch, -1, true},
+                                          {HomingMark::limit_switch, 1, true},
+                                          {HomingMark::home_switch, 1, true},
+                                          {HomingMark::home_switch, 1, false},
+                                          {HomingMark::home_switch, -1, true},
+                                          {HomingMark::home_switch, -1, false}}};
+  const bool to_index = method >= 1 && method <= 6;
+  Search search{};
+  if (to_index || (method >= 17 && method <= 22)) {
+    search = kEdges[static_cast<std::size_t>(method - (to_index ? 1 : 17))];
+  } else if (method == 33 || method == 34) {
+    search = {HomingMark::index, method == 34 ? 1 : -1, false};
+  } else {
+    return config;
+  }
+  config.mark = search.mark;
+  config.direction = search.direction;
+  config.leaving = search.leaving;
+  config.index = to_index || search.mark == HomingMark::index;
   return config;
 }
 
-void Homing::start(Time now, bool on_switch, float position_rad) noexcept {
-  from_rad_ = position_rad;
+void Homing::start(Time now, const Inputs& in) noexcept {
+  from_rad_ = in.position_rad;
   hard_ticks_ = 0;
   started_ = now;
   seen_switch_ = false;
-  phase_ = on_switch ? Phase::clear : Phase::search;
+  if (config_.mark == HomingMark::index) {
+    phase_ = Phase::index;
+  } else if (on_mark(in)) {
+    phase_ = config_.leaving ? Phase::leave : Phase::clear;
+  } else {
+    phase_ = Phase::search;
+  }
 }
 
 float Homing::velocity_rad_s() const noexcept {
@@ -35,10 +62,12 @@ float Homing::velocity_rad_s() const noexcept {
     case Phase::pass_over:
       return -direction * config_.fast_rad_s;
     case Phase::clear:
+    case Phase::leave:
       return -direction * config_.slow_rad_s;
     case Phase::approach:
-    case Phase::index:
       return direction * config_.slow_rad_s;
+    case Phase::index:  // on, the way the edge was met or left
+      return (config_.leaving ? -direction : direction) * config_.slow_rad_s;
     case Phase::idle:
     case Phase::done:
     case Phase::failed:
@@ -57,38 +86,44 @@ bool Homing::update(Time now, const Inputs& in) noexcept {
     phase_ = Phase::failed;
     return false;
   }
-  const bool limit_ahead = config_.direction < 0 ? in.negative_limit : in.positive_limit;
-  const bool limit_behind = config_.direction < 0 ? in.positive_limit : in.negative_limit;
+  const bool on = on_mark(in);
+  const bool limit_ahead = limit_towards(config_.direction, in);
+  const bool limit_behind = limit_towards(-config_.direction, in);
   switch (phase_) {
     case Phase::search:
-      if (in.home_switch) {
-        phase_ = Phase::clear;
+      if (on) {
+        phase_ = config_.leaving ? Phase::leave : Phase::clear;
       } else if (limit_ahead) {
         phase_ = Phase::pass_over;  // started beyond the switch: come back over it
       }
       break;
     case Phase::pass_over:
-      seen_switch_ = seen_switch_ || in.home_switch;
-      if (seen_switch_ && !in.home_switch) phase_ = Phase::approach;
+      seen_switch_ = seen_switch_ || on;
+      if (seen_switch_ && !on) phase_ = Phase::approach;
       if (limit_behind) phase_ = Phase::failed;
       break;
     case Phase::clear:
-      if (!in.home_switch) phase_ = Phase::approach;
+      if (!on) phase_ = Phase::approach;
       if (limit_behind) phase_ = Phase::failed;
       break;
     case Phase::approach:
-      if (in.home_switch) {
-        phase_ = config_.index ? Phase::index : Phase::done;
-        return !config_.index;
+      if (on) {
+        if (!config_.leaving) return at_edge();
+        phase_ = Phase::leave;
+      } else if (limit_ahead) {
+        phase_ = Phase::failed;
       }
-      if (limit_ahead) phase_ = Phase::failed;
+      break;
+    case Phase::leave:
+      if (!on) return at_edge();
+      if (limit_behind) phase_ = Phase::failed;
       break;
     case Phase::index:
       if (in.index_pulse) {
         phase_ = Phase::done;
         return true;
       }
-      if (limit_ahead) phase_ = Phase::failed;
+      if (config_.leaving ? limit_behind : limit_ahead) phase_ = Phase::failed;
       break;
     case Phase::idle:
     case Phase::done:

@@ -1,4 +1,5 @@
-// Room: module_fw/actions. Homing on a switch: fast search, back off, slow approach; the edge is the reference.
+// Room: module_fw/actions. Homing on a switch: fast search, back off, slow approach; the edge, or the encoder's index
+// pulse beyond it, is the reference.
 // May touch module_fw/config.h. Freestanding.
 #pragma once
 
@@ -9,14 +10,15 @@
 
 namespace mrr::fw {
 
-/// CiA 402 methods on a home switch that is met in the positive (20) or the negative direction (22), or on the index
-/// pulse beyond it (4, 6). Any other method: as configured.
+/// As a CiA 402 method has it: 17, 18 leaving the negative, the positive limit switch; 19, 20 the home switch that is
+/// searched for in the positive direction, as it is left, as it is met; 21, 22 the same in the negative direction; 1 to
+/// 6 as 17 to 22 and on to the index pulse; 33, 34 the next index pulse, negative, positive. Any other: as configured.
 [[nodiscard]] HomingConfig homing_by_method(HomingConfig config, std::int8_t method) noexcept;
 
-/// The switch is closed from its edge on in the direction of the search.
+/// A switch is closed from its edge on in the direction of the search.
 class Homing {
  public:
-  enum class Phase : std::uint8_t { idle, search, pass_over, clear, approach, index, done, failed };
+  enum class Phase : std::uint8_t { idle, search, pass_over, clear, approach, leave, index, done, failed };
 
   void configure(const HomingConfig& config) noexcept { config_ = config; }
 
@@ -29,7 +31,7 @@ class Homing {
     float effort_nm = 0.0F;  ///< torque beyond what the joint carries
   };
 
-  void start(Time now, bool on_switch, float position_rad) noexcept;
+  void start(Time now, const Inputs& in) noexcept;
   void abort() noexcept {
     if (running()) phase_ = Phase::idle;
   }
@@ -41,8 +43,7 @@ class Homing {
 
   [[nodiscard]] Phase phase() const noexcept { return phase_; }
   [[nodiscard]] bool running() const noexcept {
-    return phase_ == Phase::search || phase_ == Phase::pass_over || phase_ == Phase::clear ||
-           phase_ == Phase::approach || phase_ == Phase::index;
+    return phase_ != Phase::idle && phase_ != Phase::done && phase_ != Phase::failed;
   }
   /// Velocity to move with, 0 when not running.
   [[nodiscard]] float velocity_rad_s() const noexcept;
@@ -53,6 +54,18 @@ class Homing {
   [[nodiscard]] const HomingConfig& config() const noexcept { return config_; }
 
  private:
+  [[nodiscard]] bool limit_towards(int direction, const Inputs& in) const noexcept {
+    return direction < 0 ? in.negative_limit : in.positive_limit;
+  }
+  [[nodiscard]] bool on_mark(const Inputs& in) const noexcept {
+    return config_.mark == HomingMark::limit_switch ? limit_towards(config_.direction, in) : in.home_switch;
+  }
+  /// @returns whether this is the reference already
+  bool at_edge() noexcept {
+    phase_ = config_.index ? Phase::index : Phase::done;
+    return !config_.index;
+  }
+
   HomingConfig config_;
   Phase phase_ = Phase::idle;
   Time started_;

@@ -80,6 +80,9 @@ std::uint32_t configuration_hash(const ModuleConfig& c) {
   h.all(c.watchdog.missing_knots, c.watchdog.supervisor_heartbeat, c.watchdog.sync, c.watchdog.loop,
         c.watchdog.torque_target, s.torque_offset_nm);
   for (const std::uint8_t reaction : c.watchdog.reactions) h.add(reaction);
+  for (const std::uint8_t reaction : c.watchdog.torque_reactions) h.add(reaction);
+  for (const std::uint8_t reaction : c.watchdog.passive_reactions) h.add(reaction);
+  h.add(c.watchdog.passive);
   return h.value();
 }
 
@@ -179,6 +182,10 @@ ModuleConfig module_config(const RobotDescription& robot, int joint) {
   const auto number = [](SilenceReaction reaction) { return static_cast<std::uint8_t>(reaction); };
   c.watchdog.reactions = {number(w.knots), number(w.torque_target), number(w.heartbeat), number(w.sync),
                           number(w.bus_off)};
+  c.watchdog.torque_reactions = {number(w.torque_heartbeat), number(w.torque_bus_off)};
+  c.watchdog.passive_reactions = {number(w.passive_knots), number(w.passive_heartbeat), number(w.passive_sync),
+                                  number(w.passive_bus_off)};
+  c.watchdog.passive = seconds(w.passive_knots_s);
 
   c.brake.release = seconds(j.brake.release_s);
   c.brake.engage = seconds(j.brake.engage_s);

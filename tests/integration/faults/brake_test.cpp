@@ -2,7 +2,9 @@
 // stage does.
 #include <gtest/gtest.h>
 
+#include "common/core/random.h"
 #include "tests/bench/module/plant_joint.h"
+#include "tests/unit/module/seeds.h"
 
 namespace mrr::fw {
 namespace {
@@ -89,6 +91,44 @@ TEST(Brake, CatchesTheJointWhenThePowerStageVanishes) {
   b.run(1.0);
   EXPECT_EQ(b.status().state, DriveState::fault);
   EXPECT_LT(w.worst, kDrop);
+}
+
+// At any instant of opening, holding and closing: power stage gone, supervisor gone, or the node stopped.
+TEST(Brake, HoldsTheJointWheneverSomethingVanishes) {
+  for (const std::uint64_t seed : mrr::test::seeds(24)) {
+    Random random(seed);
+    JointSetup setup = stretched();
+    setup.seed = seed;
+    PlantBench b(setup);
+    Watch w(b);
+    b.run(0.01);
+    b.write(0x1019, 0, 240, 1);
+    b.receive(can::nmt_frame(can::NmtCommand::start, b.config.node_id));
+    b.run(0.15);
+    b.receive(can::heartbeat_frame(1, can::NmtState::operational));
+    b.command(0x06);
+    b.run(0.005);
+    b.command(0x07);
+    b.run(0.005);
+    b.command(0x0F);
+    const bool closing = random.uniform() < 0.3;
+    if (closing) {
+      b.run(0.4);
+      b.command(0x07);
+    }
+    // Torque is confirmed within 10 ms or so, the brake opens within 50, closes within 30.
+    b.run(random.uniform(0.0, closing ? 0.08 : 0.12) + (random.uniform() < 0.2 ? 0.3 : 0.0));
+    const auto what = random.below(3);
+    if (what == 0) b.spoil = [](RawSensors& raw) { raw.inputs |= kInputPowerStageFault; };
+    if (what == 1) b.sync = false;
+    if (what == 2) b.receive(can::nmt_frame(can::NmtCommand::stop, b.config.node_id));
+    b.run(1.2);
+    EXPECT_FALSE(b.actuator.power_stage_enabled) << "seed " << seed;
+    EXPECT_FALSE(b.joint.truth.brake_released[1]) << "seed " << seed;
+    EXPECT_LT(w.worst, kDrop) << "seed " << seed << ", what " << what << ", closing " << closing;
+    EXPECT_TRUE(w.order) << "seed " << seed;
+    EXPECT_TRUE(w.held || what == 0) << "seed " << seed;
+  }
 }
 
 }  // namespace

@@ -53,6 +53,26 @@ void no_following_error(ModuleConfig& c) { c.limits.following_error_rad = 0.0F; 
 /// So little torque that the arm falls.
 void let_fall(PlantBench& b) { b.write(0x6072, 0, 100, 2); }
 
+/// A torque target by RPDO2, and a tick.
+void send_torque(PlantBench& b) {
+  can::Frame f;
+  f.id = 0x300U + b.config.node_id;
+  f.length = 2;
+  can::put<std::int16_t>(f.data.data(), 800);
+  b.receive(f);
+  b.tick();
+}
+/// 6071h by RPDO2 instead of position and velocity, mode 10 in force, and targets for 0.1 s.
+void lead_by_torque(PlantBench& b) {
+  b.write(0x1401, 1, 0x80000000U + 0x300U + b.config.node_id, 4);
+  b.write(0x1601, 0, 0, 1);
+  b.write(0x1601, 1, 0x60710010U, 4);
+  b.write(0x1601, 0, 1, 1);
+  b.write(0x1401, 1, 0x300U + b.config.node_id, 4);
+  b.set_mode(10);
+  for (int i = 0; i < 100; ++i) send_torque(b);
+}
+
 /// What a module finds in its memory when it starts.
 class Memory final : public can::StoragePort {
  public:
@@ -297,32 +317,11 @@ const std::map<Fault, Scenario>& scenarios() {
         .heal = [](PlantBench& b) { b.follow_here(); }}},
       {Fault::torque_target_lost,
        {.before = Before::enabled,
-        .provoke =
-            [](PlantBench& b) {
-              // 6071h comes by RPDO2 instead of position and velocity.
-              b.write(0x1401, 1, 0x80000000U + 0x300U + b.config.node_id, 4);
-              b.write(0x1601, 0, 0, 1);
-              b.write(0x1601, 1, 0x60710010U, 4);
-              b.write(0x1601, 0, 1, 1);
-              b.write(0x1401, 1, 0x300U + b.config.node_id, 4);
-              b.set_mode(10);
-              for (int i = 0; i < 100; ++i) {
-                can::Frame f;
-                f.id = 0x300U + b.config.node_id;
-                f.length = 2;
-                can::put<std::int16_t>(f.data.data(), 800);
-                b.receive(f);
-                b.tick();
-              }
-            },
+        .provoke = lead_by_torque,
         .within_s = 0.12 + 0.105,
         .heal =
             [](PlantBench& b) {
-              can::Frame f;
-              f.id = 0x300U + b.config.node_id;
-              f.length = 2;
-              can::put<std::int16_t>(f.data.data(), 800);
-              b.receive(f);
+              send_torque(b);
               b.run(0.02);
             },
         .travel_rad = 0.3}},
@@ -602,6 +601,114 @@ TEST(Faults, WhatASilentSourceLeadsToIsConfiguredPerSource) {
       }
     }
   }
+}
+
+TEST(Faults, InTorqueModeASilentSourceHasReactionsOfItsOwn) {
+  const std::vector<Silence> sources{
+      {"torque targets", 0, Fault::torque_target_lost, [](PlantBench&) {}},
+      {"heartbeat", 1, Fault::heartbeat_lost,
+       [](PlantBench& b) { b.receive(can::heartbeat_frame(1, can::NmtState::operational)); }},
+      {"bus", 2, Fault::bus_off, [](PlantBench& b) { b.module.bus_off(b.now); }},
+  };
+  for (const Silence& source : sources) {
+    for (const Reaction reaction : {Reaction::report, Reaction::hold, Reaction::stop, Reaction::damp}) {
+      const bool targets = source.sub == 0;
+      if (targets && reaction == Reaction::report) continue;
+      PlantBench b = following_joint();
+      b.run(0.01);
+      const auto number = static_cast<std::uint32_t>(reaction);
+      if (targets) {
+        b.write(0x2131, 2, number, 1);
+      } else {
+        // What holds in mode 8 is something else.
+        b.write(0x2131, source.sub == 1 ? 3 : 5, reaction == Reaction::stop ? 0 : 3, 1);
+        b.write(0x2132, source.sub, number, 1);
+      }
+      ASSERT_TRUE(b.enable());
+      lead_by_torque(b);
+      ASSERT_EQ(b.status().mode, Mode::cyclic_torque);
+      source.provoke(b);
+      for (int i = 0; i < 800; ++i) targets ? b.tick() : send_torque(b);
+      SCOPED_TRACE(std::string(source.name) + ", reaction " + std::to_string(number));
+      const can::ObjectDictionary& od = b.module.objects();
+      EXPECT_EQ(od.error_code, static_cast<int>(can::row_of(source.fault).code));
+      EXPECT_EQ(b.status().state, reaction >= Reaction::stop ? DriveState::fault : DriveState::operation_enabled);
+      EXPECT_EQ(b.status().cause, reaction >= Reaction::stop ? source.fault : Fault::none);
+      if (reaction == Reaction::report) {
+        EXPECT_EQ(b.status().authority, Authority::motion) << "the targets still lead";
+      }
+      if (reaction == Reaction::hold) {
+        EXPECT_EQ(b.status().limit, LimitCode::watchdog);
+        EXPECT_NEAR(b.status().velocity_rad_s, 0.0, 0.01);
+      }
+    }
+  }
+}
+
+TEST(Faults, WhilePassiveASilentSourceHasReactionsOfItsOwn) {
+  const std::vector<Silence> sources{
+      {"knots", 1, Fault::knots_lost, [](PlantBench& b) { b.trajectory = nullptr; }},
+      {"heartbeat", 2, Fault::heartbeat_lost, [](PlantBench&) {}},  // seen once, at the start
+      {"SYNC", 3, Fault::sync_lost, [](PlantBench& b) { b.sync = false; }},
+      {"bus", 4, Fault::bus_off, [](PlantBench& b) { b.module.bus_off(b.now); }},
+  };
+  constexpr std::array<std::uint8_t, 4> kActive{1, 3, 4, 5};  // the same source in 2131h
+  for (const Silence& source : sources) {
+    for (const Reaction reaction : {Reaction::report, Reaction::hold, Reaction::stop, Reaction::damp}) {
+      JointSetup setup;
+      setup.joint = 2;
+      setup.pose_rad = {0.0, 0.5, -1.5};
+      setup.config = [](ModuleConfig& c) {
+        c.passive.max_time = milliseconds(1500);
+        c.passive.max_travel_rad = 3.0F;
+      };
+      PlantBench b(setup);
+      b.run(0.01);
+      if (source.sub == 1) b.write(0x2130, 4, 100, 2);
+      b.write(0x2133, source.sub, static_cast<std::uint32_t>(reaction), 1);
+      // Once it is active again it shall hold, whatever was lost.
+      b.write(0x2131, kActive[source.sub - 1U], 2, 1);
+      ASSERT_TRUE(b.enable());
+      ASSERT_TRUE(b.follow_here());
+      if (source.sub == 2) b.receive(can::heartbeat_frame(1, can::NmtState::operational));
+      b.select(can::SelectionAction::now, false, 1);
+      b.run(0.2);
+      SCOPED_TRACE(std::string(source.name) + ", reaction " + std::to_string(static_cast<int>(reaction)));
+      ASSERT_EQ(b.status().law, Law::passive);
+      ASSERT_EQ(b.module.objects().error_code, 0) << "nothing is silent yet";
+      source.provoke(b);
+      b.run(0.6);
+      EXPECT_EQ(b.module.objects().error_code, static_cast<int>(can::row_of(source.fault).code));
+      if (reaction == Reaction::report) {
+        EXPECT_EQ(b.status().law, Law::passive) << "the phase is carried through";
+        EXPECT_NE(b.module.objects().statusword & kStatusWarning, 0);
+        b.run(1.5);
+        EXPECT_EQ(b.status().law, Law::active);
+      }
+      EXPECT_EQ(b.status().state, reaction >= Reaction::stop ? DriveState::fault : DriveState::operation_enabled);
+      EXPECT_EQ(b.status().cause, reaction >= Reaction::stop ? source.fault : Fault::none);
+      if (reaction <= Reaction::hold) {
+        EXPECT_EQ(b.status().law, Law::active);
+        EXPECT_NEAR(b.status().velocity_rad_s, 0.0, 0.01);
+      }
+    }
+  }
+}
+
+TEST(Faults, WhatAPassivePhaseWasCarriedThroughStopsTheJointAfterIt) {
+  PlantBench b = following_joint();
+  ASSERT_TRUE(b.enable());
+  ASSERT_TRUE(b.follow_here());
+  b.select(can::SelectionAction::now, false, 1);
+  b.run(0.01);
+  b.module.bus_off(b.now);
+  b.run(0.05);
+  ASSERT_EQ(b.status().law, Law::passive);
+  ASSERT_EQ(b.status().fault, Emergency::none);
+  b.run(1.5);
+  EXPECT_EQ(b.status().state, DriveState::fault);
+  EXPECT_EQ(b.status().cause, Fault::bus_off) << "the first fault is kept though it was told before";
+  EXPECT_EQ(b.module.objects().first_fault_cause, static_cast<int>(Emergency::bus_off_recovered));
 }
 
 INSTANTIATE_TEST_SUITE_P(Rows, FaultTable, testing::Range(std::size_t{0}, can::kFaultCount),

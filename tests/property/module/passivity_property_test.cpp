@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include "tests/bench/module/control_quality.h"
+#include "tests/unit/module/seeds.h"
 
 namespace mrr::fw {
 namespace {
@@ -17,7 +18,7 @@ INSTANTIATE_TEST_SUITE_P(Joints, Passivity, testing::Values(kBase, kHammer));
 
 TEST_P(Passivity, ItPutsNoEnergyIntoTheJointDownToNineTenthsOfTheFriction) {
   for (const double friction : {1.0, 0.95, 0.9}) {
-    for (std::uint64_t seed = 1; seed <= 4; ++seed) {
+    for (const std::uint64_t seed : mrr::test::seeds(4)) {
       const PassiveResult r = push_about({GetParam(), friction, seed}, 8.0);
       ASSERT_TRUE(r.completed) << r.note;
       // On a reversal friction gives back what it stored elastically, and is pushed in the other way: no more than
@@ -33,7 +34,7 @@ TEST_P(Passivity, ItPutsNoEnergyIntoTheJointDownToNineTenthsOfTheFriction) {
 TEST_P(Passivity, BelowThatTheGuardTakesItBackBeforeTheJointHasGainedFiveHundredths) {
   int guarded = 0;
   for (const double friction : {0.85, 0.8, 0.7, 0.6, 0.5}) {
-    for (std::uint64_t seed = 1; seed <= 4; ++seed) {
+    for (const std::uint64_t seed : mrr::test::seeds(4)) {
       const PassiveResult r = push_about({GetParam(), friction, seed}, 8.0);
       ASSERT_TRUE(r.completed) << r.note;
       EXPECT_LT(r.gained_j, 0.05) << "friction " << friction << " seed " << seed;
@@ -49,7 +50,7 @@ TEST_P(Passivity, BelowThatTheGuardTakesItBackBeforeTheJointHasGainedFiveHundred
 
 TEST_P(Passivity, AJointAtRestStaysThere) {
   for (const double friction : {1.0, 0.9, 0.5}) {
-    for (std::uint64_t seed = 1; seed <= 3; ++seed) {
+    for (const std::uint64_t seed : mrr::test::seeds(3)) {
       PassiveCase c{GetParam(), friction, seed};
       c.hand_share = 0.0;
       const PassiveResult r = push_about(c, 20.0);

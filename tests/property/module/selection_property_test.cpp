@@ -6,6 +6,7 @@
 
 #include "common/core/random.h"
 #include "tests/unit/module/module_bench.h"
+#include "tests/unit/module/seeds.h"
 
 namespace mrr::fw {
 namespace {
@@ -166,14 +167,14 @@ void many_switches(std::uint64_t seed, bool base, int wanted) {
 }
 
 TEST(SelectionProperty, HammerJointSwitchesWithoutABumpThousandsOfTimes) {
-  for (std::uint64_t seed = 1; seed <= 12; ++seed) {
+  for (const std::uint64_t seed : mrr::test::seeds(12)) {
     many_switches(seed, false, 500);
     if (HasFatalFailure()) return;
   }
 }
 
 TEST(SelectionProperty, BaseJointSwitchesWithoutABump) {
-  for (std::uint64_t seed = 101; seed <= 108; ++seed) {
+  for (const std::uint64_t seed : mrr::test::seeds(8, 101)) {
     many_switches(seed, true, 500);
     if (HasFatalFailure()) return;
   }

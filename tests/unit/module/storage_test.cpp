@@ -6,8 +6,11 @@
 #include <vector>
 
 #include "can_protocol/codec.h"
+#include "can_protocol/object_access.h"
+#include "common/core/random.h"
 #include "module_fw/module.h"
 #include "tests/unit/module/module_bench.h"
+#include "tests/unit/module/seeds.h"
 
 namespace mrr::fw {
 namespace {
@@ -150,6 +153,72 @@ TEST(Storage, APowerCutAtEveryByteLosesAtMostTheLastChangeAndIsReported) {
   }
   EXPECT_GE(kept, 1);
   EXPECT_GT(lost, 1000);
+}
+
+/// Every stored object that is not a COB-ID with any value that it takes.
+can::ObjectDictionary anything(Random& random) {
+  can::ObjectDictionary od;
+  for (const can::Entry& entry : can::kEntries) {
+    if ((entry.flags & can::kStored) == 0 || entry.type == can::Type::string || entry.index < 0x2000) continue;
+    for (int attempt = 0; attempt < 40; ++attempt) {
+      can::Value v;
+      v.size = static_cast<std::uint8_t>(entry.size);
+      const std::uint64_t bits = random.next() >> random.below(64);
+      std::memcpy(v.bytes.data(), &bits, 8);
+      if (entry.type == can::Type::f32) {
+        const auto x = static_cast<float>(random.uniform());
+        std::memcpy(v.bytes.data(), &x, 4);
+      }
+      if (can::check_value(entry, v) != can::Abort::none) continue;
+      can::write_value(od, entry, v);
+      break;
+    }
+  }
+  return od;
+}
+/// The stored objects.
+std::vector<std::uint8_t> picture(const can::ObjectDictionary& od) {
+  std::vector<std::uint8_t> bytes;
+  for (const can::Entry& entry : can::kEntries) {
+    if ((entry.flags & can::kStored) == 0) continue;
+    const can::Value v = can::read_value(od, entry);
+    bytes.insert(bytes.end(), v.bytes.begin(), v.bytes.begin() + v.size);
+  }
+  return bytes;
+}
+
+TEST(Storage, APowerCutAnywhereLeavesTheLastChangeOrTheOneBeforeWhateverTheContents) {
+  for (const std::uint64_t seed : mrr::test::seeds(2)) {
+    Random random(seed);
+    Memory before;
+    store_into(before, anything(random));
+    const can::ObjectDictionary old = anything(random);
+    const can::ObjectDictionary wanted = anything(random);
+    ASSERT_NE(picture(old), picture(wanted));
+    store_into(before, old);
+    Memory whole = before;
+    whole.written = 0;
+    store_into(whole, wanted);
+    int lost = 0;
+    for (long cut = 0; cut <= static_cast<long>(whole.written); ++cut) {
+      Memory memory = before;
+      memory.bytes_left = cut;
+      store_into(memory, wanted);
+      memory.bytes_left = -1;
+      can::ObjectDictionary od;
+      can::ParameterStore store;
+      store.load(memory, od, 2);
+      const auto found = picture(od);
+      if (found == picture(wanted)) {
+        ASSERT_EQ(store.state(), StorageState::good);
+        continue;
+      }
+      ++lost;
+      ASSERT_EQ(found, picture(old)) << "seed " << seed << ", cut after " << cut << " bytes";
+      ASSERT_TRUE(cut == 0 || store.state() == StorageState::torn) << "seed " << seed << ", cut after " << cut;
+    }
+    EXPECT_GT(lost, 1000);
+  }
 }
 
 TEST(Storage, ACutInTheVeryFirstWriteLeavesTheConfiguredValues) {

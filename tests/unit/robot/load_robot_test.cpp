@@ -185,7 +185,10 @@ TEST(LoadRobot, ReadsHomingWatchdogsSoftLimitsAndCalibration) {
       "    calibration: {torque_offset: -300 mNm}\n"
       "    watchdog:\n      knots: {missing: 3, reaction: damp}\n"
       "      torque_target: {timeout: 0.2 s, reaction: stop}\n      heartbeat: {timeout: 1 s, reaction: hold}\n"
-      "      sync: {timeout: 40 ms, reaction: report}\n      bus_off: {reaction: damp}\n    homing:\n");
+      "      sync: {timeout: 40 ms, reaction: report}\n      bus_off: {reaction: damp}\n"
+      "      in_torque_mode: {heartbeat: hold, bus_off: report}\n"
+      "      while_passive: {knots_timeout: 80 ms, knots: hold, heartbeat: stop, sync: damp, bus_off: hold}\n"
+      "    homing:\n");
   const JointDescription j = load_robot(robot.directory()).joints[0];
   EXPECT_EQ(j.homing.max_travel_rad, 5.0);
   EXPECT_EQ(j.homing.max_torque_nm, 60.0);
@@ -202,6 +205,14 @@ TEST(LoadRobot, ReadsHomingWatchdogsSoftLimitsAndCalibration) {
   EXPECT_EQ(j.watchdog.sync_s, 0.04);
   EXPECT_EQ(j.watchdog.sync, SilenceReaction::report);
   EXPECT_EQ(j.watchdog.bus_off, SilenceReaction::damp);
+  EXPECT_EQ(standard.watchdog.passive_heartbeat, SilenceReaction::report);
+  EXPECT_EQ(j.watchdog.torque_heartbeat, SilenceReaction::hold);
+  EXPECT_EQ(j.watchdog.torque_bus_off, SilenceReaction::report);
+  EXPECT_EQ(j.watchdog.passive_knots_s, 0.08);
+  EXPECT_EQ(j.watchdog.passive_knots, SilenceReaction::hold);
+  EXPECT_EQ(j.watchdog.passive_heartbeat, SilenceReaction::stop);
+  EXPECT_EQ(j.watchdog.passive_sync, SilenceReaction::damp);
+  EXPECT_EQ(j.watchdog.passive_bus_off, SilenceReaction::hold);
 }
 
 TEST(LoadRobot, SaysWhenItsFilesHaveChanged) {
