@@ -35,6 +35,7 @@ constexpr double kGone_n = 2.4;        // ... and below which, twice in a row, f
 constexpr double kShortest_s = 0.015;  // what ends sooner was no blow
 constexpr double kSettle_1_s = 100.0;  // a module's reference comes to rest at this rate
 constexpr double kRest_rad_s = 1e-4;
+constexpr double kDetachedSeen_knots = 2.5;  // a status asked for, told, and made a set point of
 
 double sat(double x) noexcept { return std::clamp(x, -1.0, 1.0); }
 double sign(double x) noexcept { return x > 0.0 ? 1.0 : (x < 0.0 ? -1.0 : 0.0); }
@@ -194,7 +195,9 @@ void Blow::expect(double t) noexcept {
   JointVector q(n_), v(n_), a(n_);
   for (int i = 0; i < n_; ++i) {
     const Joint& j = joint_[at(i)];
-    const Target g = j.own_reference ? Target{j.reference_q, 0.0, 0.0} : target(i, s, t);
+    // Whoever does not follow its set points is taken for at rest where it is: what slows it down is not the reference.
+    const bool detached = j.own_reference || (j.passive && t - switch_s_ > kDetachedSeen_knots * arm_.knot_s);
+    const Target g = detached ? Target{j.motor_q, 0.0, 0.0} : target(i, s, t);
     q[i] = g.q;
     v[i] = g.v;
     a[i] = g.a;
