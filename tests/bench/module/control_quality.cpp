@@ -194,6 +194,8 @@ double torque_to_turn(int joint, double direction, bool compensated, std::uint64
   return kNever;
 }
 
+constexpr double kFarOut_rad = 1.5;  // of 2.4 and more
+
 PassiveResult push_about(const PassiveCase& c, double seconds) {
   QualityCase q;
   q.joint = c.joint;
@@ -247,7 +249,9 @@ PassiveResult push_about(const PassiveCase& c, double seconds) {
     for (double t = 0.0; b.status().law == Law::passive && t < 0.5; t += b.config.tick.seconds()) {
       if (t >= next_change) {
         next_change = t + random.uniform(0.2, 1.8) * c.push_s;
-        const double share = random.uniform() < 0.25 ? 0.0 : random.uniform(-c.hand_share, c.hand_share);
+        double share = random.uniform() < 0.25 ? 0.0 : random.uniform(-c.hand_share, c.hand_share);
+        // Far out the hand pushes back only: a joint that leans on its limit switch is not led again.
+        if (std::abs(b.joint.motor_q()) > kFarOut_rad) share = -std::copysign(share, b.joint.motor_q());
         b.joint.external_nm = share * static_nm;
       }
       b.tick();
