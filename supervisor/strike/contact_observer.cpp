@@ -3,12 +3,18 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
+#include <numbers>
 
 namespace mrr::sup {
 namespace {
 
 constexpr double kStandsOut = 3.5;      // standard deviations: not noise, when a contact is known to follow
 constexpr double kLongestRiseS = 0.06;  // above the noise for longer without a blow: the baseline has moved
+constexpr std::size_t kBefore = 3;      // intervals before the first that stands out, with what it hid in the noise
+constexpr double kOff_m = 1e-3;         // above where the head is thought to be: the face has left it
+constexpr double kStillComing = 0.5;    // of the speed of approach: what was felt was a jolt of the joints
+constexpr double kFaded = 0.25;         // of the least force, on average over the history: nothing presses any more
+constexpr double kWild = 3.0;           // standard deviations: what is further off is no noise, and enters as this much
 
 }  // namespace
 
@@ -24,7 +30,12 @@ double flexion_rad(const TransmissionDescription& drive, double torque_nm) noexc
 ContactObserver::ContactObserver(const RobotDescription& robot, const Chain& chain, const ContactConfig& config)
     : chain_(&chain), config_(config) {
   for (int i = 0; i < chain.dof(); ++i) {
-    drive_[static_cast<std::size_t>(i)] = robot.joints[static_cast<std::size_t>(i)].transmission;
+    const JointDescription& joint = robot.joints[static_cast<std::size_t>(i)];
+    drive_[static_cast<std::size_t>(i)] = joint.transmission;
+    // What a first-order sensor shows is this old.
+    if (joint.sensors.torque_sensor && joint.sensors.torque_bandwidth_hz > 0.0) {
+      force_age_s_ = std::max(force_age_s_, 1.0 / (2.0 * std::numbers::pi * joint.sensors.torque_bandwidth_hz));
+    }
   }
   reset(Eigen::Vector3d::UnitZ());
 }
@@ -35,7 +46,7 @@ void ContactObserver::reset(const Eigen::Vector3d& normal, const Eigen::Vector3d
   gate_m_ = gate_m;
   seen_ = 0;
   residual_.setZero(chain_->dof());
-  force_n_ = threshold_n_ = baseline_n_ = variance_n2_ = seen_s_ = rising_s_ = 0.0;
+  force_n_ = threshold_n_ = baseline_n_ = variance_n2_ = noise_n2_ = seen_s_ = rising_s_ = 0.0;
   low_samples_ = 0;
   history_.clear();
   skipped_ = 0;
@@ -94,6 +105,8 @@ const ContactReport& ContactObserver::step(Time now, const ContactSample& sample
   trace.face = 0.5 * (last_.face + at.face);
   trace.q = 0.5 * (last_.q + at.q);
   trace.qd = qd_after;
+  trace.point = {normal_.dot(last_.face) - force_age_s_ * J_n.dot(qd), J_n.dot(qd), trace.force_n,
+                 trace.time - seconds(dt), dt};
   if (history_.full()) {
     std::move(history_.begin() + 1, history_.end(), history_.begin());
     history_.truncate(kHistory - 1);
@@ -106,7 +119,7 @@ const ContactReport& ContactObserver::step(Time now, const ContactSample& sample
   force_n_ = excess;
   switch (report_.phase) {
     case ContactPhase::none:
-      before_contact(excess, dt);
+      before_contact(trace, excess);
       break;
     case ContactPhase::touching:
       during_contact(trace, excess);
@@ -117,7 +130,8 @@ const ContactReport& ContactObserver::step(Time now, const ContactSample& sample
   return report_;
 }
 
-void ContactObserver::before_contact(double excess, double dt) noexcept {
+void ContactObserver::before_contact(const Trace& trace, double excess) noexcept {
+  const double dt = trace.dt_s;
   threshold_n_ = std::max(config_.min_force_n, config_.sigmas * std::sqrt(variance_n2_));
   const bool settled = seen_s_ >= config_.settle_s;
   const bool near = normal_.dot(last_.face - head_) <= gate_m_;
@@ -128,11 +142,17 @@ void ContactObserver::before_contact(double excess, double dt) noexcept {
   seen_s_ += dt;
   rising_s_ = settled && excess > config_.release_share * threshold_n_ ? rising_s_ + dt : 0.0;
   if (rising_s_ > 0.0 && rising_s_ < kLongestRiseS) return;
-  // One wild sample is not noise: it enters with no more than the threshold.
-  const double entered = settled ? std::clamp(excess, -threshold_n_, threshold_n_) : excess;
+  // A sample taken a tick late makes a wild force and its opposite.
+  const auto tamed = [&](double value, double variance_n2) {
+    const double bound = kWild * std::max(std::sqrt(variance_n2), config_.min_force_n / config_.sigmas);
+    return settled ? std::clamp(value, -bound, bound) : value;
+  };
   const double weight = dt / (dt + std::min(seen_s_, config_.baseline_time_s));
+  const double entered = tamed(excess, variance_n2_);
+  const double single = tamed(trace.force_n - baseline_n_, noise_n2_);
   baseline_n_ += weight * entered;
   variance_n2_ += weight * (entered * entered - variance_n2_);
+  noise_n2_ += weight * (single * single - noise_n2_);
 }
 
 /// How much of interval `edge` was spent in contact, 0..1 or more. For a force that grows linearly from (or falls
@@ -163,16 +183,41 @@ void ContactObserver::begin_contact() noexcept {
   report_.q_start = share * before.q + (1.0 - share) * after.q;
   report_.qd_before = before.qd;
   report_.speed_before_m_s = before.speed_m_s;
-  low_samples_ = 0;
+  report_.force_noise_n = std::sqrt(noise_n2_);
+  low_samples_ = samples_ = 0;
+  for (std::size_t k = first - std::min(first, kBefore); k < first; ++k) {
+    report_.impulse_n_s += over(k) * history_[k].dt_s;
+  }
+  under_m_ = std::numeric_limits<double>::infinity();
   for (std::size_t k = first; k < history_.size(); ++k) during_contact(history_[k], force_n_);
 }
 
+/// Whether the force has been nothing much for as long as is remembered.
+bool ContactObserver::faded() const noexcept {
+  double sum = 0.0;
+  for (std::size_t k = 0; k < history_.size(); ++k) sum += over(k);
+  return samples_ >= static_cast<int>(kHistory) &&
+         sum < kFaded * config_.min_force_n * static_cast<double>(history_.size());
+}
+
 void ContactObserver::during_contact(const Trace& trace, double excess) noexcept {
+  ++samples_;
   const double force = trace.force_n - baseline_n_;
-  const double low = config_.release_share * threshold_n_;
-  // Contact ended before or in the first of several low intervals.
-  if (force < low && low_samples_++ == 0) at_release_ = report_;
-  if (!(force < low)) low_samples_ = 0;
+  ContactPoint point = trace.point;
+  point.force_n = force;
+  if (report_.leaving.empty() || point.height_m <= report_.leaving[0].height_m) {
+    report_.leaving.clear();
+    under_m_ = point.height_m + std::max(force, 0.0) / config_.face_stiffness_n_m;
+  } else if (report_.leaving.full()) {
+    // The deepest stays first: it tells a fresh depth from an old one.
+    std::move(report_.leaving.begin() + 2, report_.leaving.end(), report_.leaving.begin() + 1);
+    report_.leaving.truncate(report_.leaving.size() - 1);
+  }
+  (void)report_.leaving.push_back(point);
+  // A nail does not follow the face back: with the face lower than the head, a low force is a long soft push.
+  const bool off = force < config_.release_share * threshold_n_ && point.height_m >= under_m_ + kOff_m;
+  if (off && low_samples_++ == 0) at_release_ = report_;
+  if (!off) low_samples_ = 0;
   report_.impulse_n_s += force * trace.dt_s;
   report_.peak_force_n = std::max(report_.peak_force_n, excess);
   report_.end = trace.time;
@@ -183,7 +228,9 @@ void ContactObserver::during_contact(const Trace& trace, double excess) noexcept
   report_.speed_after_m_s = trace.speed_m_s;
   if (low_samples_ >= config_.release_samples) {
     end_contact();
-  } else if ((report_.end - report_.start).seconds() > config_.max_contact_s) {
+  } else if (faded() && trace.speed_m_s > kStillComing * report_.speed_before_m_s) {
+    forget();  // nothing slowed the face down
+  } else if (faded() || (report_.end - report_.start).seconds() > config_.max_contact_s) {
     report_.phase = ContactPhase::over;
   }
 }
@@ -193,7 +240,12 @@ void ContactObserver::end_contact() noexcept {
   const std::size_t samples = static_cast<std::size_t>(std::max(config_.release_samples, 1));
   const JointVector qd_after = history_[history_.size() - samples].qd;
   const double speed_after = history_[history_.size() - samples].speed_m_s;
+  const auto leaving = report_.leaving;
   report_ = at_release_;
+  report_.leaving = leaving;
+  for (std::size_t k = leaving.size() - std::min(leaving.size(), samples); k < leaving.size(); ++k) {
+    report_.leaving[k].counted_s = 0.0;
+  }
   report_.phase = ContactPhase::over;
   if (history_.size() < samples + 2) return;
   std::size_t edge = history_.size() - samples;
@@ -215,9 +267,13 @@ void ContactObserver::end_contact() noexcept {
   report_.qd_after = qd_after;
   report_.speed_after_m_s = speed_after;
   if ((report_.end - report_.start).seconds() < config_.min_contact_s) {
-    report_ = {};
-    rising_s_ = 0.0;
+    forget();
   }
+}
+
+void ContactObserver::forget() noexcept {
+  report_ = {};
+  rising_s_ = 0.0;
 }
 
 }  // namespace mrr::sup

@@ -14,16 +14,17 @@
 namespace mrr::sup {
 
 struct ContactConfig {
-  double residual_gain_1_s = 250.0;  ///< of the momentum observer, for the reported force
-  double min_force_n = 4.0;          ///< never triggers below this
-  double sigmas = 5.2;               ///< threshold in standard deviations of the force before contact
-  double release_share = 0.4;        ///< contact is over below this share of the threshold
-  int release_samples = 2;           ///< ... for that many samples
-  double baseline_time_s = 0.04;     ///< time constant of the baseline and its noise, before contact
-  double settle_s = 0.02;            ///< no detection before this much was seen since reset()
-  double max_gap_s = 0.03;           ///< longer without a sample: the observer starts anew
-  double max_contact_s = 0.5;        ///< a contact is closed after this
-  double min_contact_s = 0.015;      ///< what ends sooner was no blow but a jolt of the joints: forgotten
+  double residual_gain_1_s = 250.0;    ///< of the momentum observer, for the reported force
+  double min_force_n = 4.0;            ///< never triggers below this
+  double sigmas = 5.2;                 ///< threshold in standard deviations of the force before contact
+  double release_share = 0.4;          ///< a force below this share of the threshold is low
+  int release_samples = 2;             ///< contact is over when it was low for that many samples, off the head
+  double face_stiffness_n_m = 8000.0;  ///< of the rubber, roughly: tells where the head is under a pressed face
+  double baseline_time_s = 0.04;       ///< time constant of the baseline and its noise, before contact
+  double settle_s = 0.02;              ///< no detection before this much was seen since reset()
+  double max_gap_s = 0.03;             ///< longer without a sample: the observer starts anew
+  double max_contact_s = 0.5;          ///< a contact is closed after this
+  double min_contact_s = 0.015;        ///< what ends sooner was no blow but a jolt of the joints: forgotten
 };
 
 /// One sample, all joints at the same instant (SYNC).
@@ -34,6 +35,16 @@ struct ContactSample {
 };
 
 enum class ContactPhase : std::uint8_t { none, touching, over };
+
+/// The face and the force on it at one sample.
+struct ContactPoint {
+  double height_m = 0.0;     ///< of the face's centre along +normal, link side, from the base frame's origin, when the
+                             ///< force acted
+  double leaving_m_s = 0.0;  ///< its speed along +normal
+  double force_n = 0.0;      ///< on the robot along +normal, mean over the period around the sample
+  Time from;                 ///< where that period begins
+  double counted_s = 0.0;    ///< how much of it is in the report's impulse: all or nothing
+};
 
 /// The blow so far; final when `phase` is over.
 struct ContactReport {
@@ -51,6 +62,8 @@ struct ContactReport {
   JointVector q_start;                                     ///< link side, at the start
   JointVector qd_before;                                   ///< rad/s, link side
   JointVector qd_after;
+  double force_noise_n = 0.0;              ///< standard deviation of a single point's force, before contact
+  StaticVector<ContactPoint, 32> leaving;  ///< the last points from the deepest on, oldest first; some off the head
 };
 
 /// Torsion of a harmonic drive under a torque, rad: piecewise linear K1, K2, K3, odd.
@@ -96,17 +109,21 @@ class ContactObserver {
     Eigen::Vector3d face = Eigen::Vector3d::Zero();
     JointVector q;
     JointVector qd;
+    ContactPoint point;  // in the middle of the interval
   };
   [[nodiscard]] double over(std::size_t k) const noexcept { return history_[k].force_n - baseline_n_; }
   [[nodiscard]] double share_in_contact(std::size_t edge, std::size_t inside) const noexcept;
-  void before_contact(double excess_n, double dt_s) noexcept;
+  void before_contact(const Trace& trace, double excess_n) noexcept;
+  [[nodiscard]] bool faded() const noexcept;
   void begin_contact() noexcept;
   void during_contact(const Trace& trace, double excess_n) noexcept;
   void end_contact() noexcept;
+  void forget() noexcept;
 
   const Chain* chain_;
   ContactConfig config_;
   std::array<TransmissionDescription, kMaxJoints> drive_{};
+  double force_age_s_ = 0.0;  // by the slowest torque sensor
   Eigen::Vector3d normal_ = Eigen::Vector3d::UnitZ();
   Eigen::Vector3d head_ = Eigen::Vector3d::Zero();
   double gate_m_ = std::numeric_limits<double>::infinity();
@@ -118,9 +135,12 @@ class ContactObserver {
   double threshold_n_ = 0.0;
   double baseline_n_ = 0.0;
   double variance_n2_ = 0.0;
+  double noise_n2_ = 0.0;  // of one unfiltered force
+  double under_m_ = 0.0;   // the head is no lower than this: deepest point, less what the rubber gave there
   double seen_s_ = 0.0;
   double rising_s_ = 0.0;  // how long the force has been above the noise without a contact
   int low_samples_ = 0;
+  int samples_ = 0;                        // in contact
   StaticVector<Trace, kHistory> history_;  // newest last
   ContactReport at_release_;
   std::uint32_t skipped_ = 0;

@@ -9,10 +9,40 @@ namespace mrr::sup {
 
 namespace {
 constexpr double kStandingShare = 0.5;  // of the mean force, that a nail withstands at rest
-}
+constexpr double kLeastNoise_n = 1.0;   // of one force: what was quiet before a blow need not be so in it
+constexpr double kSeenEnd_m = 1e-3;     // how well the observer alone knows where contact ended, one standard deviation
+constexpr double kLeastSd_m = 2e-4;     // of a height: torsion, encoders and the face's tilt are not in the fit
+constexpr double kLeastRubberShare = 0.03;  // it is never known better than this: one face is not the next blow's
+constexpr double kLeastDampingSd_s_m = 0.1;
+}  // namespace
 
 StrikeEstimator::StrikeEstimator(double assumed_contact_s, const StrikeEstimateConfig& config) noexcept
     : config_(config), contact_s_(std::clamp(assumed_contact_s, config.min_contact_s, config.max_contact_s)) {}
+
+SeenBlow StrikeEstimator::look(const StrikePlan& plan, const ContactReport& report) noexcept {
+  SeenBlow seen{report, {plan.normal.dot(report.face_end_m), kSeenEnd_m}};
+  const HeadFit fit = fit_head({report.leaving.begin(), report.leaving.end()},
+                               std::max(report.force_noise_n, kLeastNoise_n), rubber_, seen.head.m);
+  if (!fit.usable || !(fit.height_sd_m < kSeenEnd_m)) return seen;
+  rubber_ = fit.rubber;
+  rubber_.stiffness_share = std::max(rubber_.stiffness_share, kLeastRubberShare);
+  rubber_.damping_sd_s_m = std::max(rubber_.damping_sd_s_m, kLeastDampingSd_s_m);
+  seen.head = {fit.height_m, std::max(fit.height_sd_m, kLeastSd_m)};
+
+  // The blow ends where the face has left for good, or for longer than a jitter; a second touch is not the blow.
+  ContactReport& contact = seen.contact;
+  contact.face_end_m += (fit.height_m - plan.normal.dot(contact.face_end_m)) * plan.normal;
+  contact.penetration_m = plan.normal.dot(contact.face_start_m - contact.face_end_m);
+  std::size_t off = 1;
+  const auto above = [&](std::size_t k) { return report.leaving[k].height_m > fit.height_m; };
+  while (off + 1 < report.leaving.size() && !(above(off) && above(off + 1))) ++off;
+  for (std::size_t k = off; k < report.leaving.size(); ++k) {
+    const ContactPoint& point = report.leaving[k];
+    contact.impulse_n_s -= point.force_n * point.counted_s;
+    if (point.counted_s > 0.0) contact.end = std::min(contact.end, point.from);
+  }
+  return seen;
+}
 
 bool StrikeEstimator::learn(const StrikePlan& plan, const ContactReport& report) noexcept {
   const double P = report.impulse_n_s;
@@ -73,6 +103,10 @@ double StrikeEstimator::resistance_n(double depth_m) const noexcept {
 ContactLaw StrikeEstimator::contact_law(double room_m) const noexcept {
   ContactLaw law;
   law.nail_room_m = std::max(room_m, 0.0);
+  if (blows_ > 0) {
+    law.face_stiffness_n_m = rubber_.stiffness_n_m;
+    law.face_damping_s_m = rubber_.damping_s_m;
+  }
   if (!nail_moved_) return law;
   // Blows tell the mean force against depth; half of it is taken for the nail's damping, which is not seen apart.
   const double mean_n = resistance_n(depth_m_);

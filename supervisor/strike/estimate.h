@@ -5,6 +5,7 @@
 #include <limits>
 
 #include "supervisor/strike/contact_observer.h"
+#include "supervisor/strike/head_fit.h"
 #include "supervisor/strike/planner.h"
 
 namespace mrr::sup {
@@ -20,6 +21,17 @@ struct StrikeEstimateConfig {
   double first_follow_through_m = 0.006;  ///< until a nail has moved: how it answers is not known yet
 };
 
+/// A length and its standard deviation, m.
+struct Height {
+  double m = 0.0;
+  double sd_m = 0.0;
+};
+
+struct SeenBlow {
+  ContactReport contact;  ///< end, impulse, face_end_m and penetration as seen now
+  Height head;            ///< afterwards, along the plan's normal from the base frame's origin
+};
+
 /// Learns from blow to blow. Starts with what the task assumes and stays within sane bounds whatever it is fed.
 class StrikeEstimator {
  public:
@@ -29,12 +41,17 @@ class StrikeEstimator {
   /// if the report is not over or not finite.
   bool learn(const StrikePlan& plan, const ContactReport& report) noexcept;
 
+  /// A finished blow once more, with all of it at hand: where it left the head by fit_head(), or by the observer if too
+  /// little was seen of it, and when it ended by that. Learns the rubber of the face.
+  [[nodiscard]] SeenBlow look(const StrikePlan& plan, const ContactReport& report) noexcept;
+
   [[nodiscard]] double restitution() const noexcept { return restitution_; }    ///< 0..1
   [[nodiscard]] double nail_mass_kg() const noexcept { return nail_mass_kg_; }  ///< M*, may be infinite
   [[nodiscard]] double contact_duration_s() const noexcept { return contact_s_; }
   [[nodiscard]] double resistance_n(double depth_m) const noexcept;   ///< R(d) = R0 + R1 d, fitted, >= 0
   [[nodiscard]] double depth_m() const noexcept { return depth_m_; }  ///< driven so far
   [[nodiscard]] int blows() const noexcept { return blows_; }
+  [[nodiscard]] const RubberBelief& rubber() const noexcept { return rubber_; }
   /// What the next blow meets, for the prediction over the contact. Until a nail has moved it stands.
   [[nodiscard]] ContactLaw contact_law(double room_m) const noexcept;
   /// How far past the head the reference should go for the nail to move by `wanted_m` in the next blow.
@@ -42,6 +59,7 @@ class StrikeEstimator {
 
  private:
   StrikeEstimateConfig config_;
+  RubberBelief rubber_;
   double restitution_ = 1.0;
   double nail_mass_kg_ = std::numeric_limits<double>::infinity();
   double contact_s_;

@@ -3,14 +3,16 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <cmath>
 #include <utility>
 
 namespace mrr::sup {
 
 namespace {
-constexpr double kBounce = 0.25;      // of the speed of approach
-constexpr int kMisses = 2;            // swings in a row that met nothing
-constexpr double kAnotherLook = 0.4;  // weight of one more look at a head that did not move
+constexpr int kMisses = 2;                 // swings in a row that met nothing
+constexpr double kFirstHeightSd_m = 1e-3;  // of the height the task says, one standard deviation
+constexpr double kMayMove_m = 2e-4;        // by which a nail may have moved in a blow that seems to have left it
+constexpr double kTellsApart = 2.0;        // standard deviations
 
 /// Names of the object dictionary as words.
 std::string words(std::string name) {
@@ -73,7 +75,8 @@ HammerSession::HammerSession(const RobotDescription& robot, RobotPort& port, con
       chain_(robot),
       options_(options),
       estimator_(robot.task.assumed_contact_s),
-      head_height_m_(robot.task.nail_height_m) {
+      head_height_m_(robot.task.nail_height_m),
+      head_sd_m_(kFirstHeightSd_m) {
   if (options_.max_swings <= 0) options_.max_swings = robot.task.max_swings;
 }
 
@@ -162,20 +165,25 @@ void HammerSession::learn() {
   const TaskDescription& task = robot_.task;
   double moved_m = 0.0;
   if (outcome.aborted == AbortReason::none && contact.phase == ContactPhase::over) {
-    // The face left the head where the head now is: a fresh measurement, not a sum of penetrations. Less than the
-    // smallest motion that can be told apart is another look at the same place, and refines it.
-    const double seen_m = (contact.face_end_m - task.nail_position_m).dot(task.normal);
-    // A hammer that bounces met something that stands: it takes more to believe that it moved.
-    const bool bounced = contact.speed_after_m_s < -kBounce * contact.speed_before_m_s;
-    if (head_height_m_ - seen_m > (bounced ? 2.0 : 1.0) * task.still_tolerance_m) {
-      moved_m = head_height_m_ - seen_m;
+    // A fresh measurement, not a sum of penetrations. One that cannot be told from what was known is another look at
+    // the same place, and refines it.
+    const SeenBlow look = estimator_.look(*plan_, contact);
+    report.outcome.contact = look.contact;
+    const Height& seen = look.head;
+    const double seen_m = seen.m - task.nail_position_m.dot(task.normal);
+    const double known_sd_m = std::hypot(head_sd_m_, kMayMove_m);
+    const double both_m = std::hypot(known_sd_m, seen.sd_m);
+    if (std::abs(head_height_m_ - seen_m) > kTellsApart * both_m) {
       report.head_height_after_m = seen_m;
+      head_sd_m_ = seen.sd_m;
     } else {
-      // First touch is a second look, unless a switch has just shaken the joints.
-      const double felt_m = (contact.face_start_m - task.nail_position_m).dot(task.normal);
-      const double look_m = plan_->passive == 0 ? 0.5 * (seen_m + felt_m) : seen_m;
-      report.head_height_after_m = head_height_m_ + kAnotherLook * (look_m - head_height_m_);
+      const double trust = known_sd_m * known_sd_m / (both_m * both_m);
+      report.head_height_after_m = head_height_m_ + trust * (seen_m - head_height_m_);
+      head_sd_m_ = known_sd_m * seen.sd_m / both_m;
     }
+    report.head_sd_after_m = head_sd_m_;
+    const double driven_m = head_height_m_ - report.head_height_after_m;
+    if (driven_m > task.still_tolerance_m) moved_m = driven_m;
     ContactReport blow = contact;
     blow.penetration_m = moved_m;
     if (options_.learn) estimator_.learn(*plan_, blow);

@@ -47,6 +47,7 @@ struct SwingReport {
   SwingOutcome outcome;
   double head_height_before_m = 0.0;  ///< estimate used by the plan
   double head_height_after_m = 0.0;   ///< estimate afterwards
+  double head_sd_after_m = 0.0;       ///< its standard deviation
   double restitution = 0.0;           ///< assumed by the plan
   double nail_mass_kg = 0.0;          ///< assumed by the plan
 };
@@ -88,6 +89,7 @@ class HammerSession {
   std::optional<StrikePlan> plan_;
   std::vector<SwingReport> swings_;
   double head_height_m_;
+  double head_sd_m_;  // of it, one standard deviation
   int still_in_a_row_ = 0;
   int misses_in_a_row_ = 0;
   bool started_ = false;

@@ -219,16 +219,24 @@ struct Blow {
   }
 };
 
+/// Its sensors show the torque of this instant.
+RobotDescription without_lag(RobotDescription robot) {
+  for (JointDescription& joint : robot.joints) joint.sensors.torque_bandwidth_hz = 0.0;
+  return robot;
+}
+
 TEST(ContactObserver, MeasuresABlowWithoutNoise) {
   for (const double resistance : {3.8, 15.0, 1000.0}) {
     SCOPED_TRACE(resistance);
     const Strike s;
-    ContactObserver observer(s.robot, s.chain);
+    ContactObserver observer(without_lag(s.robot), s.chain);
     Blow blow;
     blow.resistance_n = resistance;
     blow.run(s, observer);
-    const ContactReport& r = observer.report();
-    ASSERT_EQ(r.phase, ContactPhase::over);
+    ASSERT_EQ(observer.report().phase, ContactPhase::over);
+    StrikeEstimator estimator(0.05);
+    const SeenBlow seen = estimator.look(s.plan, observer.report());
+    const ContactReport& r = seen.contact;
     const double head_after = (r.face_end_m - s.plan.head_position_m).dot(s.plan.normal);
     // At 4 ms and 0.47 m/s a sample is 1.9 mm: where contact began is known to about half of that, where it ended,
     // slower, much better.
@@ -247,15 +255,17 @@ TEST(ContactObserver, MeasuresABlowThroughSensorNoise) {
   const Strike s;
   double worst_impulse = 0.0;
   double worst_head = 0.0;
+  const RobotDescription robot = without_lag(s.robot);
   for (std::uint64_t seed = 1; seed <= 8; ++seed) {
-    ContactObserver observer(s.robot, s.chain);
+    ContactObserver observer(robot, s.chain);
     Blow blow;
     blow.seed = seed;
     blow.torque_noise_nm = 0.07;
     blow.velocity_noise_rad_s = 1e-3;
     blow.run(s, observer);
-    const ContactReport& r = observer.report();
-    ASSERT_EQ(r.phase, ContactPhase::over) << seed;
+    ASSERT_EQ(observer.report().phase, ContactPhase::over) << seed;
+    StrikeEstimator estimator(0.05);
+    const ContactReport r = estimator.look(s.plan, observer.report()).contact;
     worst_impulse = std::max(worst_impulse, std::abs(r.impulse_n_s / blow.impulse_n_s - 1.0));
     const double head_after = (r.face_end_m - s.plan.head_position_m).dot(s.plan.normal);
     worst_head = std::max(worst_head, std::abs(head_after - blow.head_after_m));
@@ -291,6 +301,66 @@ TEST(ContactObserver, FindsTheHeadWhereItIsAndNotWhereItWasPlanned) {
     const double height = (observer.report().face_start_m - s.plan.head_position_m).dot(s.plan.normal);
     EXPECT_NEAR(height, off, 1.3e-3);
   }
+}
+
+/// A face that leaves a head at rest at `head_m`, every 4 ms, with rubber of k and c.
+std::vector<ContactPoint> leaving(double head_m, double k, double c, double noise_n, std::uint64_t seed) {
+  Random random(seed);
+  std::vector<ContactPoint> points;
+  for (int i = 0; i <= 12; ++i) {
+    const double t = 4e-3 * i;
+    ContactPoint p;
+    p.height_m = head_m - 6e-3 * std::cos(45.0 * t) * std::exp(-8.0 * t);
+    const double next_m = head_m - 6e-3 * std::cos(45.0 * (t + 1e-6)) * std::exp(-8.0 * (t + 1e-6));
+    p.leaving_m_s = (next_m - p.height_m) / 1e-6;
+    const double d = head_m - p.height_m;
+    p.force_n = d > 0.0 ? k * d * (1.0 - c * p.leaving_m_s) : 0.0;
+    p.force_n += noise_n * random.normal();
+    points.push_back(p);
+  }
+  return points;
+}
+
+TEST(HeadFit, FindsHeadAndRubberItWasToldWrongOf) {
+  const auto points = leaving(0.021, 7000.0, 1.0, 0.0, 1);
+  const HeadFit fit = fit_head(points, 1.0, {}, 0.0225);
+  ASSERT_TRUE(fit.usable);
+  EXPECT_NEAR(fit.height_m, 0.021, 1e-4);
+  EXPECT_NEAR(fit.rubber.stiffness_n_m, 7000.0, 250.0);
+  EXPECT_NEAR(fit.rubber.damping_s_m, 1.0, 0.15);
+  EXPECT_LT(fit.rubber.stiffness_share, RubberBelief{}.stiffness_share);
+}
+
+TEST(HeadFit, KnowsHowSureItIs) {
+  int within = 0;
+  for (std::uint64_t seed = 1; seed <= 50; ++seed) {
+    const HeadFit fit = fit_head(leaving(0.021, 7000.0, 1.0, 2.0, seed), 2.0, {}, 0.020);
+    ASSERT_TRUE(fit.usable) << seed;
+    EXPECT_NEAR(fit.height_m, 0.021, 1e-3) << seed;
+    within += std::abs(fit.height_m - 0.021) <= 2.0 * fit.height_sd_m ? 1 : 0;
+  }
+  EXPECT_GE(within, 43);
+}
+
+TEST(HeadFit, IsNotPulledByASampleThatWasLate) {
+  auto points = leaving(0.021, 7000.0, 1.0, 1.0, 3);
+  points[7].force_n += 30.0;
+  points[8].force_n -= 60.0;
+  points[9].force_n += 30.0;
+  const HeadFit fit = fit_head(points, 1.0, {}, 0.0225);
+  ASSERT_TRUE(fit.usable);
+  EXPECT_NEAR(fit.height_m, 0.021, 3e-4);
+}
+
+TEST(HeadFit, SaysWhenItCannotTell) {
+  const auto points = leaving(0.021, 7000.0, 1.0, 0.0, 1);
+  EXPECT_FALSE(fit_head({points.data(), 2}, 1.0, {}, 0.02).usable);
+  EXPECT_FALSE(fit_head(points, 0.0, {}, 0.02).usable);
+  EXPECT_FALSE(fit_head(points, std::nan(""), {}, 0.02).usable);
+  EXPECT_FALSE(fit_head(points, 1.0, {}, std::nan("")).usable);
+  auto broken = points;
+  broken[3].force_n = std::nan("");
+  EXPECT_FALSE(fit_head(broken, 1.0, {}, 0.02).usable);
 }
 
 TEST(ContactObserver, SkipsUnusableSamples) {
