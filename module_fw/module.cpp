@@ -1326,7 +1326,7 @@ void Module::guard_passivity() noexcept {
                                            carried_nm, !saturated_ && !selector_.catching_up());
   status_.active_torque_nm = law.torque_nm;
   status_.compensator_nm = law.compensator_nm;
-  if (reference_.at_rest()) swing_watch_.update(law.torque_nm);
+  if (absolute(r.velocity_rad_s) <= kStill) swing_watch_.update(law.torque_nm, now);
   return selector_.step(law.torque_nm, 0.0F);
 }
 
@@ -1441,7 +1441,7 @@ can::LimitCode Module::active_limit() const noexcept {
   if (passivity_lost_) return LimitCode::passivity_guard;
   if (passive_ended_by_ != LimitCode::none) return passive_ended_by_;
   if (load_by_model_ && config_.sensing.torque_sensor) return LimitCode::model_torque;
-  if (swing_watch_.swings()) return LimitCode::torque_swings;
+  if (swing_watch_.swings(status_.now)) return LimitCode::torque_swings;
   switch (drive_limit_) {
     case DriveLimit::none:
       break;

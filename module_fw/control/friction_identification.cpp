@@ -239,29 +239,41 @@ void FrictionIdentification::smooth_load() noexcept {
   }
 }
 
-// Least squares for a given f_tau. Unknowns, all of order one: torque constants over their nominal
-// values; f_c, f_s - f_c, b of either direction over the rough f_c.
+// One point as a line of the least squares, in shares of the rough f_c. Unknowns, all of order one: the torque
+// constants over their nominal values; f_c, f_s - f_c, b of either direction. Without a torque sensor the torque
+// constants are believed and friction is the same both ways (else it could not be told from a load); instead the load
+// is found that 60B2h does not tell of: a parabola in the position, and the inertia of what hangs on the joint.
+float FrictionIdentification::fill_row(const Point& p, float decay, Row& row) const noexcept {
+  const float per_nm = 1.0F / setup_.coulomb_nm;
+  const std::size_t k = p.current >= 0.0F ? 0 : 1;
+  const float motor = setup_.gear_ratio * setup_.torque_constant[k] * p.current * per_nm;
+  const float load = (p.load + setup_.inertia_kg_m2 * p.acceleration) * per_nm;
+  const std::size_t way = p.velocity >= 0.0F ? 0 : 1;
+  const std::size_t at = setup_.load_measured ? kFriction[way] : kFriction[0];
+  const float s = way == 0 ? -1.0F : 1.0F;
+  row[at] = s;
+  row[at + 1] = s * exp_negative(decay * p.velocity_squared);
+  row[at + 2] = s * absolute(p.velocity);
+  if (setup_.load_measured) {
+    row[k] = motor;
+    return load;
+  }
+  row[0] = -1.0F;
+  row[1] = -p.position;
+  row[kFriction[1]] = -p.position_squared;
+  row[kFriction[1] + 1] = -p.acceleration;
+  return load - motor;
+}
+
+// Least squares for a given f_tau.
 FrictionIdentification::Solution FrictionIdentification::solve(float decay) const noexcept {
   constexpr std::size_t kN = kUnknowns;
   std::array<std::array<float, kN>, kN> A{};
   std::array<float, kN> g{};
   float yy = 0.0F;
-  const float per_nm = 1.0F / setup_.coulomb_nm;
   for (const Point& p : points_) {
     std::array<float, kN> row{};
-    const std::size_t k = p.current >= 0.0F ? 0 : 1;
-    const float motor = setup_.gear_ratio * setup_.torque_constant[k] * p.current * per_nm;
-    float y = (p.load + setup_.inertia_kg_m2 * p.acceleration) * per_nm;
-    if (setup_.load_measured) {
-      row[k] = motor;
-    } else {
-      y -= motor;
-    }
-    const std::size_t way = p.velocity >= 0.0F ? 0 : 1;
-    const float s = way == 0 ? -1.0F : 1.0F;
-    row[2 + 3 * way] = s;
-    row[3 + 3 * way] = s * exp_negative(decay * p.velocity_squared);
-    row[4 + 3 * way] = s * absolute(p.velocity);
+    const float y = fill_row(p, decay, row);
     for (std::size_t i = 0; i < kN; ++i) {
       const float wi = p.weight * row[i];
       if (wi == 0.0F) continue;
@@ -270,28 +282,22 @@ FrictionIdentification::Solution FrictionIdentification::solve(float decay) cons
     }
     yy += p.weight * y * y;
   }
-  // What the data say nothing about stays at its nominal value.
-  constexpr std::array<float, kN> kPrior{1.0F, 1.0F};
+  // What the data say nothing about stays at its nominal value: 1 for the torque constants, nothing for the rest.
   for (std::size_t i = 0; i < kN; ++i) {
-    const float ridge = i < 2 ? 1e-3F : 1e-5F;
+    const bool constant = setup_.load_measured && i < 2;
+    const float ridge = constant ? 1e-3F : 1e-5F;
     A[i][i] += ridge;
-    g[i] += ridge * kPrior[i];
+    if (constant) g[i] += ridge;
   }
   Solution solution;
   solution.x = g;
   if (!solve_symmetric(A, solution.x)) return solution;
-  const std::array<float, kUnknowns>& x = solution.x;
   // The cost anew from the residuals: as a difference of large sums it would be rounding.
   float cost = 0.0F;
   for (const Point& p : points_) {
-    const std::size_t k = p.current >= 0.0F ? 0 : 1;
-    const float ratio = setup_.load_measured ? x[k] : 1.0F;
-    const float motor = setup_.gear_ratio * setup_.torque_constant[k] * ratio * p.current * per_nm;
-    const std::size_t way = p.velocity >= 0.0F ? 0 : 1;
-    const float E = exp_negative(decay * p.velocity_squared);
-    const float friction = x[2 + 3 * way] + x[3 + 3 * way] * E + x[4 + 3 * way] * absolute(p.velocity);
-    const float r =
-        motor - (p.load + setup_.inertia_kg_m2 * p.acceleration) * per_nm - (way == 0 ? friction : -friction);
+    std::array<float, kN> row{};
+    float r = -fill_row(p, decay, row);
+    for (std::size_t i = 0; i < kN; ++i) r += row[i] * solution.x[i];
     cost += p.weight * r * r;
   }
   if (is_finite(cost)) solution.cost = cost;
@@ -319,9 +325,10 @@ void FrictionIdentification::finish() noexcept {
   }
   const float f = setup_.coulomb_nm;
   for (std::size_t way = 0; way < 2; ++way) {
-    const float coulomb = best_.x[2 + 3 * way] * f;
-    const float above = best_.x[3 + 3 * way] * f;
-    const float viscous = best_.x[4 + 3 * way] * f;
+    const std::size_t at = setup_.load_measured ? kFriction[way] : kFriction[0];
+    const float coulomb = best_.x[at] * f;
+    const float above = best_.x[at + 1] * f;
+    const float viscous = best_.x[at + 2] * f;
     result_.friction[way] = {coulomb, coulomb + (above > 0.0F ? above : 0.0F), decay_, viscous > 0.0F ? viscous : 0.0F};
     result_.torque_constant[way] = setup_.torque_constant[way] * (setup_.load_measured ? best_.x[way] : 1.0F);
   }

@@ -18,7 +18,7 @@ namespace mrr::fw {
 ///   K(i) i - load - B a = s [f_c + (f_s - f_c) exp(-f_tau v^2) + b |v|],  s = sgn v, K by the sign of i.
 /// Linear in all but f_tau, which is searched for, one candidate a tick.
 /// At constant speed the load is gravity's, a smooth function of the position: a parabola through all passes stands for
-/// it, which a torque sensor that wanders meanwhile hardly bends.
+/// it, which a torque sensor that wanders meanwhile hardly bends. Without a sensor that parabola is fitted too.
 class FrictionIdentification {
  public:
   /// 0x2170:01
@@ -28,7 +28,7 @@ class FrictionIdentification {
     float gear_ratio = 1.0F;
     float inertia_kg_m2 = 0.0F;                 ///< B, joint side
     std::array<float, 2> torque_constant{};     ///< nominal, motor side, for positive, negative torque
-    bool load_measured = false;                 ///< otherwise the torque constants are taken as they are
+    bool load_measured = false;                 ///< otherwise the torque constants are believed
     float coulomb_nm = 1.0F;                    ///< roughly; only scales the arithmetic
     float travel_rad = 0.3F;                    ///< to either side
     float lower_rad = -1.0F, upper_rad = 1.0F;  ///< never beyond
@@ -74,6 +74,7 @@ class FrictionIdentification {
   static constexpr int kRepetitions = 3;  // of the fastest, for its turns
   static constexpr std::size_t kPoints = 192;
   static constexpr std::size_t kUnknowns = 8;
+  static constexpr std::array<std::size_t, 2> kFriction{2, 5};  // where f_c of a direction is among them
   static constexpr int kCoarse = 24;  // candidates of f_tau, a factor apart; then finer ones around the best
   static constexpr int kFine = 13;
 
@@ -99,6 +100,8 @@ class FrictionIdentification {
   void smooth_load() noexcept;
   void fit_step() noexcept;
   void finish() noexcept;
+  using Row = std::array<float, kUnknowns>;
+  float fill_row(const Point& point, float decay, Row& row) const noexcept;
   [[nodiscard]] Solution solve(float decay) const noexcept;
 
   Setup setup_;

@@ -16,26 +16,30 @@ class SwingWatch {
         filter_(limit(tick.seconds_f() / kMean_s, 0.0F, 1.0F)),
         window_(static_cast<std::int32_t>(kWindow / tick)) {}
 
-  /// One tick of a joint that rests. It may have moved since the last one.
-  void update(float torque_nm) noexcept {
+  /// One tick of a joint that rests. After motion it begins anew.
+  void update(float torque_nm, Time now) noexcept {
+    if (now - last_ > kPause) ticks_ = turns_ = windows_ = 0;
+    last_ = now;
     mean_nm_ += filter_ * (torque_nm - mean_nm_);
     if ((torque_nm - mean_nm_) * side_ < -band_nm_) {
       side_ = -side_;
       ++turns_;
     }
     if (++ticks_ < window_) return;
-    swings_ = turns_ >= kTurns;
+    windows_ = turns_ >= kTurns ? windows_ + (windows_ < kWindows ? 1 : 0) : 0;
     ticks_ = turns_ = 0;
   }
-  /// It did in the last whole half second of rest.
-  [[nodiscard]] bool swings() const noexcept { return swings_; }
+  /// It does, for longer than what a stop leaves behind takes to ring out.
+  [[nodiscard]] bool swings(Time now) const noexcept { return windows_ >= kWindows && now - last_ <= kPause; }
 
  private:
   static constexpr float kBand_nm = 1.0F;
   static constexpr float kFrictionShare = 0.05F;
   static constexpr float kMean_s = 0.1F;
   static constexpr Duration kWindow = milliseconds(500);
-  static constexpr std::int32_t kTurns = 8;  // 8 Hz: faster than a hand shakes the joint
+  static constexpr Duration kPause = milliseconds(50);  // without update(): it moved
+  static constexpr std::int32_t kTurns = 8;             // 8 Hz: faster than a hand shakes the joint
+  static constexpr std::int32_t kWindows = 3;
 
   float band_nm_;
   float filter_;
@@ -44,7 +48,8 @@ class SwingWatch {
   float side_ = 1.0F;
   std::int32_t turns_ = 0;
   std::int32_t ticks_ = 0;
-  bool swings_ = false;
+  std::int32_t windows_ = 0;  ///< in a row in which it did
+  Time last_;
 };
 
 }  // namespace mrr::fw

@@ -140,10 +140,14 @@ Standing stand(const QualityCase& c, double hold_s) {
   constexpr double kInfinity = std::numeric_limits<double>::infinity();
   double low = kInfinity, high = -kInfinity;
   double last_low = kInfinity, last_high = -kInfinity, torque_low = kInfinity, torque_high = -kInfinity;
+  int ticks = 0;
+  int swinging = 0;
   const double end = b.seconds_now() + hold_s;
   b.each_tick = [&](const ModuleStatus& s) {
     low = std::min(low, b.joint.motor_q());
     high = std::max(high, b.joint.motor_q());
+    ++ticks;
+    swinging += s.limit == can::LimitCode::torque_swings ? 1 : 0;
     if (s.now.seconds() < end - 10.0) return;
     last_low = std::min(last_low, b.joint.motor_q());
     last_high = std::max(last_high, b.joint.motor_q());
@@ -155,6 +159,7 @@ Standing stand(const QualityCase& c, double hold_s) {
   result.peak_to_peak_mrad = 1e3 * (high - low);
   result.last_peak_to_peak_mrad = 1e3 * (last_high - last_low);
   result.last_torque_peak_to_peak_nm = torque_high - torque_low;
+  result.said_to_swing = static_cast<double>(swinging) / ticks;
   return result;
 }
 

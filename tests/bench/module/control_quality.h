@@ -41,6 +41,7 @@ struct Standing {
   double peak_to_peak_mrad = 0.0;       ///< of the motor, from one second after the stop
   double last_peak_to_peak_mrad = 0.0;  ///< over the last ten seconds: a limit cycle would show
   double last_torque_peak_to_peak_nm = 0.0;
+  double said_to_swing = 0.0;  ///< share of that time in which the module's limit code was torque_swings
 };
 
 Tracking track(const QualityCase& c, double seconds = 8.0);

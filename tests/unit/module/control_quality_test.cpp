@@ -42,6 +42,7 @@ TEST_P(ControlQuality, StandsStill) {
   // What is left is the drift of the torque sensor.
   EXPECT_LE(s.last_peak_to_peak_mrad, 0.3) << "a limit cycle";
   EXPECT_LE(s.last_torque_peak_to_peak_nm, 1.5) << "a limit cycle";
+  EXPECT_EQ(s.said_to_swing, 0.0);
 }
 
 // Load that is carried late pumps the arm on its spring: the base joint swung for ever with 10 Nm.
@@ -54,11 +55,12 @@ TEST_P(ControlQuality, StandsStillWithASlowTorqueSensor) {
     ASSERT_TRUE(s.completed);
     EXPECT_LE(s.peak_to_peak_mrad, 1.0) << believed_hz;
     EXPECT_LE(s.last_torque_peak_to_peak_nm, 2.5) << believed_hz << ": a limit cycle";
+    EXPECT_EQ(s.said_to_swing, 0.0) << believed_hz;
   }
 }
 
-// Told that the sensor has 200 Hz, the module does not know better: the torque swings, the joint hardly.
-TEST_P(ControlQuality, ASlowTorqueSensorThatIsBelievedFastIsBounded) {
+// Told that the sensor has 200 Hz: the base joint's torque swings, the joint hardly, and the module says so.
+TEST_P(ControlQuality, ASlowTorqueSensorThatIsBelievedFastIsBoundedAndShown) {
   QualityCase c = nominal();
   c.torque_bandwidth_hz = 50.0;
   c.believed_bandwidth_hz = 200.0;
@@ -66,6 +68,11 @@ TEST_P(ControlQuality, ASlowTorqueSensorThatIsBelievedFastIsBounded) {
   ASSERT_TRUE(s.completed);
   EXPECT_LE(s.peak_to_peak_mrad, 1.0);
   EXPECT_LE(s.last_torque_peak_to_peak_nm, 15.0);
+  if (s.last_torque_peak_to_peak_nm > 3.0) {
+    EXPECT_GT(s.said_to_swing, 0.9);
+  } else {
+    EXPECT_EQ(s.said_to_swing, 0.0);
+  }
 }
 
 TEST_P(ControlQuality, TracksWithAnotherPlantThanItKnows) {

@@ -112,6 +112,31 @@ TEST(Identification, WithoutATorqueSensorItTakesTheTorqueConstantsAsTheyAre) {
   EXPECT_EQ(od.identified_torque_constant_positive_nm_a, b.config.drive.torque_constant_positive_nm_a);
 }
 
+// 13.7 Nm of gravity, as much as the friction itself, and nobody who tells of it.
+TEST(Identification, WithoutATorqueSensorGravityIsToldFromFriction) {
+  for (const double friction : {1.0, 0.7, 1.3}) {
+    JointSetup s = wrong_by(1, friction, 1.0);
+    s.pose_rad = {0.0, 0.6, 0.0};
+    s.config = [](ModuleConfig& c) { c.sensing.torque_sensor = false; };
+    PlantBench b(s);
+    ASSERT_TRUE(b.enable());
+    identify(b);
+    const auto& od = b.module.objects();
+    ASSERT_EQ(state_of(b), State::done) << "friction x " << friction << ", residual " << od.identified_residual_nm;
+    const sim::JointTruth& truth = b.joint.plant().actual_description().joints[1];
+    for (const auto& found : {od.identified_positive, od.identified_negative}) {
+      const auto near = [&](const char* what, double x, double wanted) {
+        EXPECT_NEAR(x, wanted, 0.1 * wanted) << what << ", friction x " << friction;
+      };
+      near("f_c", double{found[0]}, truth.friction.coulomb_nm[0]);
+      near("f_s", double{found[1]}, truth.friction.static_nm[0]);
+      near("f_tau", double{found[2]}, truth.friction.stribeck_decay_s2_rad2);
+      near("b", double{found[3]}, truth.friction.viscous_nm_s_rad);
+    }
+    EXPECT_LT(od.identified_residual_nm, 0.05F * od.identified_positive[0]);
+  }
+}
+
 TEST(Identification, StaysWithinTravelAndLimits) {
   PlantBench b(wrong_by(2, 1.0, 1.0));
   ASSERT_TRUE(b.enable());
