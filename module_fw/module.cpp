@@ -56,7 +56,8 @@ bool usable(const ModuleConfig& c) noexcept {
   ok = ok && c.sensing.encoder_counts_per_turn > 0 && positive(c.drive.gear_ratio) &&
        positive(c.sensing.velocity_bandwidth_rad_s) && positive(c.sensing.current_full_scale_a) &&
        (!c.sensing.torque_sensor || positive(c.sensing.torque_full_scale_nm)) &&
-       not_negative(c.sensing.torque_bandwidth_rad_s) && positive(c.sensing.max_plausible_velocity_rad_s);
+       is_finite(c.sensing.torque_offset_nm) && not_negative(c.sensing.torque_bandwidth_rad_s) &&
+       positive(c.sensing.max_plausible_velocity_rad_s);
   ok = ok && positive(c.drive.torque_constant_positive_nm_a) && positive(c.drive.torque_constant_negative_nm_a) &&
        positive(c.drive.continuous_current_a) && c.drive.peak_current_a >= c.drive.continuous_current_a &&
        is_finite(c.drive.peak_current_a) && positive(c.drive.thermal_time_constant_s) &&
@@ -87,7 +88,10 @@ bool usable(const ModuleConfig& c) noexcept {
        positive(p.max_travel_rad) && p.blend.ns >= 0 && p.max_time.ns >= 0;
   const LimitsConfig& l = c.limits;
   ok = ok && l.lower_rad < l.upper_rad && positive(l.velocity_rad_s) && positive(l.acceleration_rad_s2) &&
-       positive(l.torque_nm) && is_finite(l.lower_rad) && is_finite(l.upper_rad);
+       positive(l.torque_nm) && is_finite(l.lower_rad) && is_finite(l.upper_rad) && not_negative(l.following_error_rad);
+  const HomingConfig& h = c.homing;
+  ok = ok && positive(h.fast_rad_s) && positive(h.slow_rad_s) && is_finite(h.switch_position_rad) &&
+       is_finite(h.index_position_rad) && not_negative(h.max_travel_rad) && not_negative(h.max_torque_nm);
   const ReferenceConfig& r = c.reference;
   return ok && positive(r.stop_deceleration_rad_s2) && positive(r.quick_stop_deceleration_rad_s2) &&
          positive(r.settle_rate_1_s) && not_negative(r.resync_window_rad) && not_negative(r.resync_velocity_rad_s) &&

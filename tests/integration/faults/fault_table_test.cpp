@@ -557,6 +557,42 @@ TEST(Faults, ALimitThatIsActiveIsNotAFault) {
   EXPECT_EQ(od.error_register, 0);
 }
 
+// A weight that the joint can hold for a while but not for ever: I^2 t takes current away before it trips.
+TEST(Faults, TheCurrentComesDownBeforeTheWindingsThermalLoadTrips) {
+  JointSetup setup;
+  setup.joint = 1;
+  setup.config = [](ModuleConfig& c) {
+    c.drive.continuous_current_a = 0.35F * c.drive.peak_current_a;
+    c.drive.thermal_time_constant_s = 0.5F;
+    c.limits.following_error_rad = 0.0F;
+  };
+  PlantBench b(setup);
+  ASSERT_TRUE(b.enable());
+  ASSERT_TRUE(b.follow_here());
+  b.run(0.3);
+  ASSERT_LT(b.status().thermal_load, 0.8F);
+  b.joint.external_nm = -25.0;
+  float worst = 0.0F;
+  float most_a = 0.0F;
+  std::optional<double> derated_s;
+  b.each_tick = [&](const ModuleStatus& s) {
+    worst = std::max(worst, s.thermal_load);
+    if (s.limit == LimitCode::thermal && !derated_s) derated_s = b.seconds_now();
+    most_a = std::max(most_a, std::abs(s.current_a));
+    if (s.thermal_load > 0.999F) {
+      EXPECT_LT(std::abs(s.current_a), 1.1F * b.config.drive.continuous_current_a);
+    }
+  };
+  const double began = b.seconds_now();
+  b.run(1.5);
+  ASSERT_TRUE(derated_s) << "limit code 7 was not shown";
+  EXPECT_GT(*derated_s - began, 0.02) << "not before it is warm";
+  EXPECT_GT(most_a, 1.2F * b.config.drive.continuous_current_a);
+  EXPECT_GT(worst, 0.8F);
+  EXPECT_LT(worst, can::row_of(Fault::thermal_overload).threshold);
+  EXPECT_EQ(b.status().fault, Emergency::none) << "it gives way, without a fault";
+}
+
 struct Silence {
   const char* name;
   std::uint8_t sub;  ///< of 2131h

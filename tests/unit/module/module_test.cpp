@@ -664,5 +664,99 @@ TEST(Module, TwoRunsAreBitIdentical) {
   EXPECT_EQ(run(), run());
 }
 
+// Whatever number of the configuration is not a number: the joint is never led by it.
+TEST(Module, NoNumberOfTheConfigurationThatIsNoneEverLeadsTheJoint) {
+  const auto numbers = [](ModuleConfig& c) {
+    return std::vector<float*>{&c.sensing.velocity_bandwidth_rad_s,
+                               &c.sensing.torque_offset_nm,
+                               &c.sensing.torque_full_scale_nm,
+                               &c.sensing.torque_bandwidth_rad_s,
+                               &c.sensing.current_full_scale_a,
+                               &c.sensing.max_plausible_velocity_rad_s,
+                               &c.friction.coulomb_nm,
+                               &c.friction.static_nm,
+                               &c.friction.stribeck_decay_s2_rad2,
+                               &c.friction.viscous_nm_s_rad,
+                               &c.control.compensator.integral_gain[2],
+                               &c.control.compensator.integral_limit[2],
+                               &c.control.compensator.robust_gain[2],
+                               &c.control.compensator.robust_width[2],
+                               &c.control.compensator.position_gain_nm,
+                               &c.control.compensator.position_width_rad_s,
+                               &c.control.inertia_kg_m2,
+                               &c.control.lambda_1_s,
+                               &c.control.position_gain_nm_rad,
+                               &c.control.velocity_gain_nm_s_rad,
+                               &c.control.friction_feedforward,
+                               &c.control.carried_departure_nm,
+                               &c.control.still_velocity_rad_s,
+                               &c.control.moving_velocity_rad_s,
+                               &c.control.reference_still_rad_s,
+                               &c.passive.compensation_nm,
+                               &c.passive.static_compensation_nm,
+                               &c.passive.still_velocity_rad_s,
+                               &c.passive.moving_velocity_rad_s,
+                               &c.passive.torque_dead_band_nm,
+                               &c.passive.torque_trend_nm,
+                               &c.passive.trend_rate_1_s,
+                               &c.passive.rest_trend_rate_1_s,
+                               &c.passive.torque_filter_rad_s,
+                               &c.passive.resume_torque_slew_nm_s,
+                               &c.passive.guard_energy_j,
+                               &c.passive.max_travel_rad,
+                               &c.reference.stop_deceleration_rad_s2,
+                               &c.reference.quick_stop_deceleration_rad_s2,
+                               &c.reference.settle_rate_1_s,
+                               &c.reference.resync_window_rad,
+                               &c.reference.resync_velocity_rad_s,
+                               &c.reference.offset_decay_1_s,
+                               &c.drive.gear_ratio,
+                               &c.drive.torque_constant_positive_nm_a,
+                               &c.drive.torque_constant_negative_nm_a,
+                               &c.drive.peak_current_a,
+                               &c.drive.continuous_current_a,
+                               &c.drive.thermal_time_constant_s,
+                               &c.drive.max_winding_temperature_c,
+                               &c.drive.max_drive_temperature_c,
+                               &c.drive.temperature_derating_c,
+                               &c.drive.min_bus_voltage_v,
+                               &c.drive.max_bus_voltage_v,
+                               &c.drive.rated_torque_nm,
+                               &c.limits.lower_rad,
+                               &c.limits.upper_rad,
+                               &c.limits.velocity_rad_s,
+                               &c.limits.acceleration_rad_s2,
+                               &c.limits.torque_nm,
+                               &c.limits.following_error_rad,
+                               &c.homing.switch_position_rad,
+                               &c.homing.fast_rad_s,
+                               &c.homing.slow_rad_s,
+                               &c.homing.max_travel_rad,
+                               &c.homing.max_torque_nm,
+                               &c.homing.index_position_rad};
+  };
+  ModuleConfig usual = test::module_config(test::hammer_joint());
+  const std::size_t count = numbers(usual).size();
+  for (std::size_t i = 0; i < count; ++i) {
+    for (const float wrong : {std::numeric_limits<float>::quiet_NaN(), std::numeric_limits<float>::infinity()}) {
+      ModuleConfig c = usual;
+      float& number = *numbers(c)[i];
+      // These may be without bound.
+      const bool unbounded = &number == &c.control.carried_departure_nm || &number == &c.drive.max_bus_voltage_v;
+      if (unbounded && !std::isnan(wrong)) continue;
+      number = wrong;
+      ModuleBench b(test::hammer_joint(), c);
+      bool led = false;
+      b.each_tick = [&](const ModuleStatus& s) {
+        led = led || b.actuator.power_stage_enabled;
+        ASSERT_FALSE(std::isnan(s.torque_command_nm)) << "number " << i;
+      };
+      b.enable();
+      EXPECT_FALSE(led) << "number " << i << " is " << wrong;
+      EXPECT_EQ(b.status().state, DriveState::fault) << "number " << i;
+    }
+  }
+}
+
 }  // namespace
 }  // namespace mrr::fw
