@@ -104,8 +104,8 @@ void enter(ModuleBench& b, Situation situation) {
   ASSERT_EQ(b.module.situation(), situation) << kSituationNames[static_cast<std::size_t>(situation)];
 }
 
-/// Makes the request; the bits of what goes on stay set.
-void make(ModuleBench& b, Situation situation, Request request) {
+/// Makes the request; the bits of what goes on stay set. A calibration is asked for by its mode.
+void make(ModuleBench& b, Situation situation, Request request, Mode calibration) {
   const std::uint16_t word = b.controlword;
   const float here = b.status().position_rad;
   switch (request) {
@@ -121,7 +121,7 @@ void make(ModuleBench& b, Situation situation, Request request) {
       b.command(static_cast<std::uint16_t>(word | 0x10U));
       break;
     case Request::calibration:
-      b.mode = -3;
+      b.mode = static_cast<std::int8_t>(calibration);
       b.command(static_cast<std::uint16_t>(word | 0x10U));
       if (situation == Situation::homing) {  // its start bit is set already: the action needs an edge of its own
         b.tick();
@@ -154,7 +154,7 @@ void make(ModuleBench& b, Situation situation, Request request) {
 }
 
 /// Whether the request has effect now.
-bool has_effect(ModuleBench& b, Situation situation, Request request) {
+bool has_effect(ModuleBench& b, Situation situation, Request request, Mode calibration) {
   const ModuleStatus& s = b.status();
   switch (request) {
     case Request::set_points:
@@ -164,7 +164,7 @@ bool has_effect(ModuleBench& b, Situation situation, Request request) {
     case Request::homing:
       return b.module.situation() == Situation::homing;
     case Request::calibration:
-      return b.module.situation() == Situation::calibration && s.mode == Mode::torque_zero;
+      return b.module.situation() == Situation::calibration && s.mode == calibration;
     case Request::halt:
       if (situation == Situation::disabled) {
         b.command(0x106);
@@ -194,16 +194,12 @@ bool has_effect(ModuleBench& b, Situation situation, Request request) {
   return false;
 }
 
-class ArbiterTable : public testing::TestWithParam<std::tuple<std::size_t, std::size_t>> {};
-
-TEST_P(ArbiterTable, IsWhatHappens) {
-  const auto situation = static_cast<Situation>(std::get<0>(GetParam()));
-  const auto request = static_cast<Request>(std::get<1>(GetParam()));
+void try_pair(Situation situation, Request request, Mode calibration = Mode::torque_zero) {
   const Rule& r = rule(situation, request);
   ModuleBench b(test::hammer_joint(), configuration(situation));
   enter(b, situation);
-  if (HasFatalFailure()) return;
-  make(b, situation, request);
+  if (testing::Test::HasFatalFailure()) return;
+  make(b, situation, request, calibration);
   // Long enough for one knot period; a joint that comes to rest takes longer.
   const bool slow = request == Request::limit && situation == Situation::homing;
   b.run(slow ? 0.2 : 0.010);
@@ -218,7 +214,7 @@ TEST_P(ArbiterTable, IsWhatHappens) {
     }
   }
   if (r.verdict == Verdict::refused || r.verdict == Verdict::waits) {
-    EXPECT_FALSE(request != Request::quick_stop && has_effect(b, situation, request));
+    EXPECT_FALSE(request != Request::quick_stop && has_effect(b, situation, request, calibration));
     switch (r.shown) {
       case Shown::statusword:
         break;
@@ -230,7 +226,7 @@ TEST_P(ArbiterTable, IsWhatHappens) {
         break;
     }
   } else {
-    EXPECT_TRUE(has_effect(b, situation, request));
+    EXPECT_TRUE(has_effect(b, situation, request, calibration));
   }
   if (r.verdict == Verdict::waits) {
     if (situation == Situation::homing || situation == Situation::calibration) {
@@ -250,7 +246,24 @@ TEST_P(ArbiterTable, IsWhatHappens) {
         b.run(0.05);
       }
     }
-    EXPECT_TRUE(has_effect(b, situation, request)) << "it has waited in vain";
+    EXPECT_TRUE(has_effect(b, situation, request, calibration)) << "it has waited in vain";
+  }
+}
+
+class ArbiterTable : public testing::TestWithParam<std::tuple<std::size_t, std::size_t>> {};
+
+TEST_P(ArbiterTable, IsWhatHappens) {
+  try_pair(static_cast<Situation>(std::get<0>(GetParam())), static_cast<Request>(std::get<1>(GetParam())));
+}
+
+// Limit recovery has nothing to do within the limits; where it has, it is what goes on in `calibration`.
+TEST(Arbiter, TreatsTheCalibrationsAlike) {
+  for (const Mode mode : {Mode::brake_test, Mode::identification}) {
+    for (std::size_t s = 0; s < kSituations; ++s) {
+      SCOPED_TRACE(std::string(kSituationNames[s]) + ", mode " + std::to_string(static_cast<int>(mode)));
+      try_pair(static_cast<Situation>(s), Request::calibration, mode);
+      if (testing::Test::HasFatalFailure()) return;
+    }
   }
 }
 
