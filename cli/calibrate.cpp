@@ -132,7 +132,7 @@ std::string text_of(const std::filesystem::path& file) {
 int calibrate(const Arguments& arguments) {
   catch_interrupts();
   rpc::Client client(rpc::socket_path(arguments.socket, "supervisor.sock"), "mrr_supervisor");
-  const std::filesystem::path folder = client.call("hello").at("robot").at("source").get<std::string>();
+  const std::filesystem::path folder = greet(client).at("robot").at("source").get<std::string>();
   const std::filesystem::path file = folder / "robot.yaml";
   Json params = {{"joint", joint_parameter(arguments.joint)}, {"what", arguments.what}};
   if (arguments.travel_rad > 0.0) params["travel_rad"] = arguments.travel_rad;

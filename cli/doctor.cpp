@@ -17,6 +17,7 @@
 #include "can_protocol/socketcan/can_socket.h"
 #include "cli/exit_status.h"
 #include "cli/files.h"
+#include "cli/robot_commands.h"
 #include "cli/text.h"
 #include "common/rpc/client.h"
 #include "common/rpc/runtime_dir.h"
@@ -108,17 +109,13 @@ void look_at_scheduling(Findings& findings) {
 void look_at_programs(Findings& findings, const std::string& socket, const std::string& plant_socket) {
   try {
     rpc::Client client(rpc::socket_path(socket, "supervisor.sock"), "mrr_supervisor");
-    const Json hello = client.call("hello");
+    const Json hello = greet(client);
     const Json status = client.call("status");
-    findings.add(Finding::good, fmt::format("supervisor: {} on {}, {}", hello["robot"].value("name", "?"),
-                                            hello["bus"].value("interface", "?"), status.value("activity", "?")));
-    if (hello.value("interface_version", 0) != 1)
-      findings.add(Finding::bad, fmt::format("supervisor: it speaks interface version {}, this command 1; install both "
-                                             "from one release",
-                                             hello.value("interface_version", 0)));
-    const Json& clock = status["clock"];
-    if (clock.value("kind", "") == "realtime" && clock["late_us"].is_object()) {
-      const double worst_us = clock["late_us"].value("p99", 0.0);
+    findings.add(Finding::good, fmt::format("supervisor: {} on {}, {}", hello.at("robot").value("name", "?"),
+                                            hello.at("bus").value("interface", "?"), status.value("activity", "?")));
+    const Json& clock = status.at("clock");
+    if (clock.value("kind", "") == "realtime" && clock.at("late_us").is_object()) {
+      const double worst_us = clock.at("late_us").value("p99", 0.0);
       const double period_us = clock.value("period_us", 1000.0);
       const long long missed = clock.value("missed", 0LL);
       const bool well = worst_us < 0.5 * period_us && 1000 * missed <= clock.value("cycles", 0LL);

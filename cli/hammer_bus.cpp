@@ -22,6 +22,7 @@
 #include "can_protocol/plant_io/plant_frames.h"
 #include "can_protocol/socketcan/can_socket.h"
 #include "cli/print.h"
+#include "cli/robot_commands.h"
 #include "cli/text.h"
 #include "common/robot/errors.h"
 #include "common/rpc/client.h"
@@ -191,8 +192,8 @@ std::string own_recording(rpc::Client& supervisor) {
                        value.is_number() ? value.get<double>() : std::numeric_limits<double>::quiet_NaN());
       csv += line + '\n';
     }
-    row = part.at("next_row").get<std::size_t>();
     if (part.at("rows").empty()) return csv;
+    row += part.at("rows").size();
   }
 }
 
@@ -208,13 +209,13 @@ std::string content_and_remove(const std::string& path) {
 
 std::string robot_of_supervisor(const std::string& socket) {
   rpc::Client client(rpc::socket_path(socket, "supervisor.sock"), "mrr_supervisor");
-  return client.call("hello").at("robot").value("source", "");
+  return greet(client).at("robot").value("source", "");
 }
 
 BusJob run_bus_job(const RobotDescription& robot, const BusJobOptions& options) {
   catch_interrupts();
   rpc::Client supervisor(rpc::socket_path(options.socket, "supervisor.sock"), "mrr_supervisor");
-  const Json hello = supervisor.call("hello");
+  const Json hello = greet(supervisor);
   const auto name = hello.at("robot").at("name").get<std::string>();
   if (name != robot.name) {
     throw DescriptionError(fmt::format(
@@ -350,7 +351,7 @@ BusJob run_bus_job(const RobotDescription& robot, const BusJobOptions& options) 
       sim::SwingTruth truth = swing_truth(really[seen_before + k]);
       const Json& joints = outcome.swings[k].at("joints");
       for (std::size_t i = 0; i < truth.joints.size(); ++i)
-        truth.joints[i].passive = joints[i].at("passive").get<bool>();
+        truth.joints[i].passive = joints.at(i).at("passive").get<bool>();
       outcome.truth.push_back(std::move(truth));
     }
     outcome.nail_height_m = plant->call("truth").at("nail_height_m").get<double>();

@@ -10,6 +10,7 @@
 #include "cli/exit_status.h"
 #include "cli/hammer_bus.h"
 #include "cli/robot_commands.h"
+#include "common/robot/command_line.h"
 #include "common/robot/errors.h"
 #include "common/rpc/message.h"
 
@@ -45,6 +46,7 @@ int main(int argc, char** argv) {
     return cli::kExitUsage;
   }
   try {
+    refuse_empty_values(*app);
     app->parse(argc, argv);
   } catch (const CLI::ParseError& error) {
     return app->exit(error) == 0 ? cli::kExitDone : cli::kExitUsage;
@@ -62,6 +64,11 @@ int main(int argc, char** argv) {
     return complain(error, cli::kExitNotDone);
   } catch (const can::CanError& error) {
     return complain(error, cli::kExitNotDone);
+  } catch (const rpc::Json::exception& error) {
+    // Nothing else here reads JSON: an answer lacks what docs/rpc.md says.
+    fmt::print(stderr, "mrr: the answer is none of mrr_supervisor or mrr_plant ({}); see what runs at the socket\n",
+               error.what());
+    return cli::kExitNotDone;
   } catch (const std::exception& error) {
     fmt::print(stderr, "mrr: internal error: {}\n", error.what());
     return cli::kExitInternal;

@@ -65,6 +65,7 @@ int command(const Arguments& arguments, const std::string& method, const Json& p
             const std::string& label = {}) {
   catch_interrupts();
   rpc::Client client = connect(arguments);
+  if (method != "stop") (void)greet(client);  // a stop waits for nothing
   client.call("subscribe", {{"events", {"command"}}});
   const Json accepted = client.call(method, params);
   const auto number = accepted.at("command").get<std::int64_t>();
@@ -84,7 +85,7 @@ int command(const Arguments& arguments, const std::string& method, const Json& p
 int show_status(const Arguments& arguments) {
   catch_interrupts();
   rpc::Client client = connect(arguments);
-  const Json hello = client.call("hello");
+  const Json hello = greet(client);
   if (!arguments.watch) {
     const Json status = client.call("status");
     fmt::print("{}", arguments.json ? status.dump(2) + '\n' : status_text(hello, status));
@@ -102,7 +103,7 @@ int show_status(const Arguments& arguments) {
 int monitor(const Arguments& arguments) {
   catch_interrupts();
   rpc::Client client = connect(arguments);
-  const Json hello = client.call("hello");
+  const Json hello = greet(client);
   client.call("subscribe");
   LiveBlock block;
   TorqueHistory history(200);
@@ -167,7 +168,7 @@ int home(const Arguments& arguments) {
   Json joints;
   {
     rpc::Client client = connect(arguments);
-    joints = client.call("hello").at("robot").at("joints");
+    joints = greet(client).at("robot").at("joints");
   }
   // From the tip to the base: a joint that looks for its switch then carries as little as it can.
   for (auto joint = joints.rbegin(); joint != joints.rend(); ++joint) {
@@ -184,7 +185,7 @@ int move(const Arguments& arguments) {
     std::string name = target.joint;
     if (const Json number = joint_parameter(name); number.is_number()) {
       rpc::Client client = connect(arguments);
-      const Json joints = client.call("hello").at("robot").at("joints");
+      const Json joints = greet(client).at("robot").at("joints");
       const int index = number.get<int>();
       if (index < 1 || index > static_cast<int>(joints.size()))
         throw std::invalid_argument(fmt::format("joint {} is not from 1 to {}", index, joints.size()));
@@ -197,6 +198,21 @@ int move(const Arguments& arguments) {
 }
 
 }  // namespace
+
+Json greet(rpc::Client& client) {
+  constexpr int kInterfaceVersion = 1;
+  Json hello = client.call("hello");
+  const auto version = hello.is_object() ? hello.find("interface_version") : hello.end();
+  if (version == hello.end() || !version->is_number_integer())
+    throw rpc::ConnectionError("what answers at the socket is not mrr_supervisor; name its socket with --socket");
+  if (*version != kInterfaceVersion) {
+    throw rpc::ConnectionError(
+        fmt::format("mrr_supervisor there speaks interface version {}, this command version {}; install both from one "
+                    "release",
+                    version->dump(), kInterfaceVersion));
+  }
+  return hello;
+}
 
 Json joint_parameter(const std::string& joint) {
   int number = 0;

@@ -15,6 +15,10 @@ namespace mrr::cli {
 /// status, enable, disable, home, move, passive, active, stop, fault, reset, monitor, log.
 void add_robot_commands(CLI::App& app, int& status);
 
+/// What the supervisor says of itself (docs/rpc.md, hello). Throws ConnectionError if it is no supervisor of the
+/// interface version that this command speaks.
+[[nodiscard]] rpc::Json greet(rpc::Client& client);
+
 /// How a command ended, and for people why not.
 struct CommandEnd {
   int status = kExitDone;

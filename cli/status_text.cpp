@@ -25,6 +25,12 @@ double number(const Json& object, const char* key) {
   return found != object.end() && found->is_number() ? found->get<double>() : kNaN;
 }
 
+/// 0 if the key is missing or no whole number.
+long long count(const Json& object, const char* key) {
+  const auto found = object.find(key);
+  return found != object.end() && found->is_number_integer() ? found->get<long long>() : 0;
+}
+
 std::string text(const Json& object, const char* key, const std::string& otherwise = "-") {
   const auto found = object.find(key);
   return found != object.end() && found->is_string() ? found->get<std::string>() : otherwise;
@@ -73,8 +79,8 @@ std::string clock_words(const Json& clock) {
 
 /// A joint that is lost or refused reports no code.
 std::string fault_words(const Json& fault) {
-  if (fault.value("code", 0) == 0) return "no word from it, or refused";
-  return fmt::format("{:04X}h {}", fault.value("code", 0), text(fault, "name"));
+  if (count(fault, "code") == 0) return "no word from it, or refused";
+  return fmt::format("{:04X}h {}", count(fault, "code"), text(fault, "name"));
 }
 
 }  // namespace
@@ -121,8 +127,8 @@ std::string status_text(const Json& hello, const Json& status) {
                              "not taken",
                              text(bus, "state"),
                              bus.contains("problem") && bus["problem"].is_string() ? ": " + text(bus, "problem") : "",
-                             figure(number(bus, "load_computed") * 100.0, 0), bus.value("frames_sent", 0LL),
-                             bus.value("frames_received", 0LL), bus.value("transmit_failures", 0LL)),
+                             figure(number(bus, "load_computed") * 100.0, 0), count(bus, "frames_sent"),
+                             count(bus, "frames_received"), count(bus, "transmit_failures")),
                  11);
   std::string pace;
   if (clock.contains("late_us") && clock["late_us"].is_object() && text(clock, "kind") != "lockstep") {
@@ -132,39 +138,39 @@ std::string status_text(const Json& hello, const Json& status) {
   }
   out +=
       wrapped(fmt::format("  clock    {} s, {}; {} cycles of {} us, {} missed{}", figure(number(status, "time_s"), 1),
-                          flag(clock, "running") ? "running" : "stands still", clock.value("cycles", 0LL),
-                          figure(number(clock, "period_us"), 0), clock.value("missed", 0LL), pace),
+                          flag(clock, "running") ? "running" : "stands still", count(clock, "cycles"),
+                          figure(number(clock, "period_us"), 0), count(clock, "missed"), pace),
               11);
   if (status.contains("ledger") && status["ledger"].is_object()) {
     const Json& ledger = status["ledger"];
     std::string gears;
     long long blows = 0;
     for (const Json& joint : ledger.at("joints")) {
-      const long long events = joint.value("momentary_events", 0LL);
+      const long long events = count(joint, "momentary_events");
       gears += fmt::format("{}{} {:.1g} %", gears.empty() ? "" : ", ", text(joint, "name"),
                            number(joint, "life_share") * 100.0);
       if (events > 0) gears += fmt::format(" ({} peak{} above the repeated peak)", events, events == 1 ? "" : "s");
-      blows = std::max(blows, joint.value("blows", 0LL));
+      blows = std::max(blows, count(joint, "blows"));
     }
     out += wrapped(fmt::format("  gears    life used in {} blow{} since {}: {}", blows, blows == 1 ? "" : "s",
                                text(ledger, "since"), gears),
                    11);
-    if (ledger["problem"].is_string()) out += wrapped(fmt::format("           {}", text(ledger, "problem")), 11);
+    if (!text(ledger, "problem", "").empty()) out += wrapped(fmt::format("           {}", text(ledger, "problem")), 11);
   }
   if (status.contains("command") && status["command"].is_object()) {
     const Json& command = status["command"];
     const std::string reason = text(command, "reason", "");
-    out += wrapped(fmt::format("  command  {} {}: {}{}", command.value("number", 0), text(command, "method"),
+    out += wrapped(fmt::format("  command  {} {}: {}{}", count(command, "number"), text(command, "method"),
                                text(command, "state"), reason.empty() ? "" : ", " + reason),
                    11);
   }
   if (status.contains("job") && status["job"].is_object()) {
     const Json& job = status["job"];
-    const int swings = job.value("swings", 0);
+    const long long swings = count(job, "swings");
     std::string verdict = text(job, "verdict");  // as in result.json: swing_aborted
     std::replace(verdict.begin(), verdict.end(), '_', ' ');
     out += wrapped(fmt::format("  job      {}: {}, {} swing{} so far, nail {} mm proud as the robot sees it",
-                               job.value("job", 0), text(job, "state") == "done" ? verdict : "running", swings,
+                               count(job, "job"), text(job, "state") == "done" ? verdict : "running", swings,
                                swings == 1 ? "" : "s", figure(number(job, "nail_height_mm"), 1)),
                    11);
   }
@@ -216,7 +222,7 @@ std::string faults_text(const Json& faults) {
     out += wrapped(fmt::format("  {}  {} at {} s: {}", text(fault, "joint"), fault_words(fault),
                                figure(number(fault, "time_s"), 3), text(fault, "text", "no more is known")),
                    6);
-    out += wrapped(fmt::format("      remedy: {}", remedy(fault.value("code", 0))), 14);
+    out += wrapped(fmt::format("      remedy: {}", remedy(static_cast<int>(count(fault, "code")))), 14);
   }
   const Json& history = faults.at("history");
   if (!history.empty()) out += "\nNewest first:\n         s  joint        code\n";
@@ -239,7 +245,7 @@ std::string event_line(const Json& event) {
   const bool named = joint.empty() || words.find(joint) != std::string::npos;
   std::string out =
       fmt::format("{:>10} s  {}{}\n", figure(number(event, "time_s"), 3), named ? "" : joint + ": ", words);
-  if (event.contains("dropped") && event["dropped"].is_number())
+  if (event.contains("dropped") && event["dropped"].is_number_integer())
     out = fmt::format("            ({} events were lost)\n", event["dropped"].get<long long>()) + out;
   return out;
 }

@@ -19,6 +19,7 @@
 
 #include "can_protocol/socketcan/arrival.h"
 #include "can_protocol/socketcan/linux_frame.h"
+#include "common/core/containers.h"
 
 namespace mrr::can {
 
@@ -100,6 +101,8 @@ void set(int fd, int level, int option, const void* value, std::size_t size, con
     throw CanError(fmt::format("the CAN socket refuses {}: {}.", what, std::strerror(errno)));
 }
 
+constexpr Duration kLookAgain = milliseconds(100);  // for an interface that was removed
+
 bool apply_filters(int fd, std::span<const CanFilter> filters) noexcept {
   std::array<can_filter, CanSocket::kMaxFilters> raw{};
   if (filters.size() > raw.size()) {
@@ -140,6 +143,10 @@ struct CanSocket::Impl {
   bool kernel_times = false;
   bool bus_off = false;
   bool link_down = false;
+  bool error_passive = false;
+  bool detached = false;  ///< the interface was removed, and this socket with it from the kernel's lists
+  Time looked;            ///< for it
+  StaticVector<CanFilter, kMaxFilters> filters;
   CanSocketStatistics statistics;
   std::array<canfd_frame, kBatch> received_raw{};
   std::array<iovec, kBatch> receive_vector{};
@@ -154,6 +161,8 @@ struct CanSocket::Impl {
   [[nodiscard]] Time look_at_clocks() noexcept;
   Time arrival(msghdr& header, Time now) noexcept;
   void note_error_frame(const canfd_frame& frame) noexcept;
+  void note_loss(int error) noexcept;
+  void attach_again() noexcept;
 };
 
 CanSocket::CanSocket(std::unique_ptr<Impl> impl) noexcept : impl_(std::move(impl)) {}
@@ -187,7 +196,9 @@ CanSocket CanSocket::open(const std::string& interface, const CanSocketOptions& 
   address.can_ifindex = index;
   if (::bind(fd, reinterpret_cast<const sockaddr*>(&address), sizeof address) != 0)
     throw CanError(fmt::format("interface {} cannot be used for CAN: {}.", interface, std::strerror(errno)));
-  return CanSocket(std::make_unique<Impl>(std::move(descriptor), interface));
+  auto impl = std::make_unique<Impl>(std::move(descriptor), interface);
+  for (const CanFilter& filter : options.filters) (void)impl->filters.push_back(filter);
+  return CanSocket(std::move(impl));
 }
 
 /// CLOCK_MONOTONIC. The offset between the clocks follows a step of the system's time.
@@ -224,12 +235,39 @@ void CanSocket::Impl::note_error_frame(const canfd_frame& frame) noexcept {
     ++statistics.bus_off_events;
     bus_off = true;
   }
-  if ((frame.can_id & CAN_ERR_RESTARTED) != 0) bus_off = false;
+  if ((frame.can_id & CAN_ERR_RESTARTED) != 0) bus_off = error_passive = false;
+  if ((frame.can_id & CAN_ERR_CRTL) != 0) {
+    const unsigned controller = frame.data[1];
+    if ((controller & (CAN_ERR_CRTL_RX_PASSIVE | CAN_ERR_CRTL_TX_PASSIVE)) != 0) error_passive = true;
+    if ((controller & CAN_ERR_CRTL_ACTIVE) != 0) error_passive = false;
+  }
+}
+
+void CanSocket::Impl::note_loss(int error) noexcept {
+  if (error != ENETDOWN && error != ENODEV && error != ENXIO) return;
+  link_down = true;
+  detached = detached || error != ENETDOWN;
+}
+
+/// The kernel has forgotten filters and interface, the rest stays.
+void CanSocket::Impl::attach_again() noexcept {
+  const Time now = monotonic_now();
+  if (now - looked < kLookAgain) return;
+  looked = now;
+  ifreq request{};
+  std::memcpy(request.ifr_name, name.c_str(), name.size());  // open() has seen that it fits
+  if (::ioctl(descriptor.get(), SIOCGIFINDEX, &request) != 0) return;
+  sockaddr_can address{};
+  address.can_family = AF_CAN;
+  address.can_ifindex = request.ifr_ifindex;
+  detached = !apply_filters(descriptor.get(), {filters.data(), filters.size()}) ||
+             ::bind(descriptor.get(), reinterpret_cast<const sockaddr*>(&address), sizeof address) != 0;
 }
 
 std::span<const ReceivedFrame> CanSocket::Impl::receive(int flags) noexcept {
   Time deadline;
   std::size_t count = 0;
+  if (detached) attach_again();
   while (count == 0) {
     for (std::size_t i = 0; i < kBatch; ++i) {
       msghdr& header = receive_header[i].msg_hdr;
@@ -242,7 +280,7 @@ std::span<const ReceivedFrame> CanSocket::Impl::receive(int flags) noexcept {
     const int n = ::recvmmsg(descriptor.get(), receive_header.data(), kBatch, flags, nullptr);
     if (n < 0) {
       if (errno == EINTR && flags == MSG_DONTWAIT) continue;
-      if (errno == ENETDOWN || errno == ENODEV) link_down = true;
+      note_loss(errno);
       break;
     }
     if (n == 0) break;
@@ -294,6 +332,7 @@ void CanSocket::wait(Duration timeout) const noexcept {
 
 std::size_t CanSocket::send(std::span<const Frame> frames) noexcept {
   Impl& s = *impl_;
+  if (s.detached) s.attach_again();
   std::size_t taken = 0;
   while (!frames.empty()) {
     const std::size_t batch = frames.size() < kBatch ? frames.size() : kBatch;
@@ -309,7 +348,7 @@ std::size_t CanSocket::send(std::span<const Frame> frames) noexcept {
     do {
       done = ::sendmmsg(s.descriptor.get(), s.send_header.data(), static_cast<unsigned>(n), MSG_DONTWAIT);
     } while (done < 0 && errno == EINTR);
-    if (done < 0 && (errno == ENETDOWN || errno == ENODEV)) s.link_down = true;
+    if (done < 0) s.note_loss(errno);
     const std::size_t accepted = done > 0 ? static_cast<std::size_t>(done) : 0;
     s.statistics.send_dropped += static_cast<std::int64_t>(n - accepted);
     taken += accepted;
@@ -320,7 +359,10 @@ std::size_t CanSocket::send(std::span<const Frame> frames) noexcept {
 }
 
 bool CanSocket::set_filters(std::span<const CanFilter> filters) noexcept {
-  return apply_filters(impl_->descriptor.get(), filters);
+  if (!apply_filters(impl_->descriptor.get(), filters)) return false;
+  impl_->filters.clear();
+  for (const CanFilter& filter : filters) (void)impl_->filters.push_back(filter);
+  return true;
 }
 
 void CanSocket::discard_received() noexcept {
@@ -333,6 +375,7 @@ void CanSocket::use_kernel_times(bool on) noexcept { impl_->kernel_times = on; }
 int CanSocket::fd() const noexcept { return impl_->descriptor.get(); }
 const std::string& CanSocket::interface() const noexcept { return impl_->name; }
 bool CanSocket::bus_off() const noexcept { return impl_->bus_off; }
+bool CanSocket::error_passive() const noexcept { return impl_->error_passive; }
 bool CanSocket::link_down() const noexcept { return impl_->link_down; }
 const CanSocketStatistics& CanSocket::statistics() const noexcept { return impl_->statistics; }
 

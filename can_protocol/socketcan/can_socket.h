@@ -48,6 +48,8 @@ struct CanSocketStatistics {
 };
 
 /// One raw CAN socket; no call but receive(timeout) ever waits. Everything is allocated by open(); nothing afterwards.
+/// An interface that is removed (an adapter unplugged) and comes back under its name is found again by receive() and
+/// send(), ten times a second.
 ///
 /// Arrival times are the kernel's (SO_TIMESTAMPNS, CLOCK_REALTIME), converted to CLOCK_MONOTONIC with an offset that is
 /// measured at open(), by measure_clock_offset(), and as soon as a batch of frames shows that the system's time was
@@ -95,7 +97,10 @@ class CanSocket {
   [[nodiscard]] const std::string& interface() const noexcept;
   /// The controller reported bus-off and has not come back.
   [[nodiscard]] bool bus_off() const noexcept;
-  /// The interface went down while in use; false again once a frame passes.
+  /// The controller reported that it is error-passive: it sees and makes errors, and may soon be bus-off. False again
+  /// when it reports to be active or restarted. Error frames alone say so: a virtual interface never does by itself.
+  [[nodiscard]] bool error_passive() const noexcept;
+  /// The interface went down or away while in use; false again once a frame passes.
   [[nodiscard]] bool link_down() const noexcept;
   [[nodiscard]] const CanSocketStatistics& statistics() const noexcept;
 

@@ -20,6 +20,20 @@ using Clock = std::chrono::steady_clock;
 namespace {
 
 constexpr std::size_t kMaxEvents = 4096;
+constexpr std::size_t kMaxMessageBytes = 256 * 1024 * 1024;  // a whole job's recording is some MiB
+
+bool is_event(const Json& message) {
+  const auto method = message.find("method");
+  const auto params = message.find("params");
+  return method != message.end() && *method == "event" && params != message.end() && params->is_object();
+}
+
+bool is_error(const Json& error) {
+  if (!error.is_object()) return false;
+  const auto code = error.find("code");
+  const auto message = error.find("message");
+  return code != error.end() && code->is_number_integer() && message != error.end() && message->is_string();
+}
 
 /// Rounded up, so that a wait is never shorter than asked; never negative.
 std::chrono::milliseconds left_until(Clock::time_point end) {
@@ -83,9 +97,15 @@ std::optional<Json> Client::take_message() {
   Json message = Json::parse(buffer_.begin(), buffer_.begin() + static_cast<std::ptrdiff_t>(end), nullptr, false);
   buffer_.erase(0, end + 1);
   scanned_ = 0;
-  if (!message.is_object())
-    throw ConnectionError(fmt::format("{}: {} sent something that is not JSON-RPC", socket_.string(), program_));
+  if (!message.is_object()) throw not_understood();
   return message;
+}
+
+ConnectionError Client::not_understood() const {
+  return ConnectionError(
+      fmt::format("{}: what answers there is not {}, or of another version: it sent something that "
+                  "is not JSON-RPC; name the right socket",
+                  socket_.string(), program_));
 }
 
 bool Client::receive(std::chrono::milliseconds timeout) {
@@ -96,6 +116,7 @@ bool Client::receive(std::chrono::milliseconds timeout) {
   const ssize_t n = ::recv(fd_, bytes.data(), bytes.size(), 0);
   if (n > 0) {
     buffer_.append(bytes.data(), static_cast<std::size_t>(n));
+    if (buffer_.size() > kMaxMessageBytes && buffer_.find('\n', scanned_) == std::string::npos) throw not_understood();
     return true;
   }
   if (n < 0 && (errno == EAGAIN || errno == EINTR)) return false;
@@ -103,7 +124,7 @@ bool Client::receive(std::chrono::milliseconds timeout) {
 }
 
 void Client::keep_event(Json message) {
-  if (message.value("method", "") != "event" || !message.contains("params")) return;
+  if (!is_event(message)) return;
   if (events_.size() == kMaxEvents) {
     events_.pop_front();
     ++lost_events_;
@@ -143,11 +164,11 @@ Json Client::call(const std::string& method, const Json& params, std::chrono::mi
       const Json& whose = (*message)["id"];
       if (whose != id && !whose.is_null()) continue;
       if (const auto error = message->find("error"); error != message->end()) {
-        throw Error(error->value("code", kInternalError), error->value("message", "no reason given"),
+        if (!is_error(*error)) throw not_understood();
+        throw Error(error->at("code").get<int>(), error->at("message").get<std::string>(),
                     error->contains("data") ? (*error)["data"] : Json(nullptr));
       }
-      if (!message->contains("result"))
-        throw ConnectionError(fmt::format("{}: {} sent something that is not JSON-RPC", socket_.string(), program_));
+      if (!message->contains("result")) throw not_understood();
       return std::move((*message)["result"]);
     }
     in_time();

@@ -38,6 +38,7 @@ class Client {
 
  private:
   std::optional<Json> take_message();
+  [[nodiscard]] ConnectionError not_understood() const;
   bool receive(std::chrono::milliseconds timeout);
   void keep_event(Json message);
 

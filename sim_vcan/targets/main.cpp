@@ -4,6 +4,7 @@
 #include <CLI/CLI.hpp>
 #include <csignal>
 
+#include "common/robot/command_line.h"
 #include "common/robot/errors.h"
 #include "common/robot/places.h"
 #include "common/rpc/runtime_dir.h"
@@ -64,12 +65,10 @@ int main(int argc, char** argv) {
     return fmt::format("mrr_plant: {}; see mrr_plant --help\n", error.what());
   });
   try {
+    refuse_empty_values(app);
     app.parse(argc, argv);
     options.lockstep = !realtime;
-    struct sigaction action {};
-    action.sa_handler = [](int) { stop_requested = 1; };  // without SA_RESTART: waiting ends
-    sigaction(SIGTERM, &action, nullptr);
-    sigaction(SIGINT, &action, nullptr);
+    mrr::on_end([](int) { stop_requested = 1; });
     run(robot, board, socket, options);
   } catch (const CLI::ParseError& error) {
     return app.exit(error) == 0 ? kDone : kUnusable;

@@ -6,6 +6,7 @@
 #include <csignal>
 #include <memory>
 
+#include "common/robot/command_line.h"
 #include "common/robot/errors.h"
 #include "common/robot/places.h"
 #include "common/rpc/runtime_dir.h"
@@ -32,9 +33,11 @@ struct Arguments {
   std::string socket;
   std::string ledger;
   std::string log_level = "info";
+  int test_switch_late_ms = 0;
 };
 
-/// Goes on until somebody wants an end and the joints are let go of. `turn` makes cycles, or waits while they are made.
+/// Goes on until somebody wants an end and the joints are let go of. `turn` makes cycles, or waits while they are
+/// made.
 /// @returns whether the joints were let go of in time.
 template <typename Turn>
 bool serve(sup::Service& service, Turn&& turn) {
@@ -100,6 +103,7 @@ int run(const Arguments& arguments) {
   options.can = arguments.can.empty() ? robot.bus.interface : arguments.can;
   options.plant = arguments.plant;
   options.protocol_hash = can::kProtocolHash;
+  options.test_switch_late = milliseconds(arguments.test_switch_late_ms);
   if (arguments.socket.empty()) (void)rpc::runtime_dir();
   rpc::Server server(rpc::socket_path(arguments.socket, "supervisor.sock"));
   sup::SocketBus bus(robot, options.can);
@@ -140,7 +144,7 @@ int main(int argc, char** argv) {
   CLI::App app{"mrr_supervisor: drives the joints of a robot over CAN; talk to it with mrr, or by JSON-RPC."};
   app.set_version_flag("--version", MRR_VERSION);
   app.footer(
-      "SIGTERM or SIGINT: controlled stop, brakes, exit.\n"
+      "SIGTERM, SIGINT or SIGHUP: controlled stop, brakes, exit.\n"
       "Exit status: 0 stopped as asked, 1 stopped, but not all joints could be let go of in time, 2 unusable input\n"
       "(robot, interface, socket), 3 defect.");
   Arguments arguments;
@@ -159,15 +163,17 @@ int main(int argc, char** argv) {
   app.add_option("--log-level", arguments.log_level, "debug, info, warning or error")
       ->check(CLI::IsMember({"debug", "info", "warning", "error"}))
       ->option_text("TEXT=info");
+  app.add_option("--test-switch-late", arguments.test_switch_late_ms,
+                 "For tests: arm each switch so many ms late, so that it has to be pulled when contact comes")
+      ->check(CLI::Range(0, 200))
+      ->option_text("INT");
   app.failure_message([](const CLI::App*, const CLI::Error& error) {
     return fmt::format("mrr_supervisor: {}; see mrr_supervisor --help\n", error.what());
   });
   try {
+    refuse_empty_values(app);
     app.parse(argc, argv);
-    struct sigaction action {};
-    action.sa_handler = [](int number) { signal_received = number; };  // without SA_RESTART: waiting ends
-    sigaction(SIGTERM, &action, nullptr);
-    sigaction(SIGINT, &action, nullptr);
+    mrr::on_end([](int number) { signal_received = number; });
     return run(arguments);
   } catch (const CLI::ParseError& error) {
     return app.exit(error) == 0 ? kDone : kUnusable;

@@ -236,7 +236,12 @@ void Service::attach(rpc::Server& server) {
 
 void Service::enable(bool wanted) { (void)ask({.kind = wanted ? RequestKind::enable : RequestKind::disable}); }
 
-Refusal Service::execute(const StrikePlan& plan) { return ask({.kind = RequestKind::execute, .plan = &plan}).refusal; }
+Refusal Service::execute(const StrikePlan& plan) {
+  if (options_.test_switch_late.ns == 0) return ask({.kind = RequestKind::execute, .plan = &plan}).refusal;
+  StrikePlan late = plan;
+  late.switch_time += options_.test_switch_late;
+  return ask({.kind = RequestKind::execute, .plan = &late}).refusal;
+}
 
 Answer Service::ask(const Request& request) {
   const std::optional<Answer> answer = call_(request);
@@ -726,7 +731,7 @@ Json Service::status() {
   }
   Json bus_problem = nullptr;
   if (bus_state_ == "down") {
-    bus_problem = fmt::format("interface {0} is down; ip link set {0} up", options_.can);
+    bus_problem = why_down();
   } else if (bus_state_ == "full") {
     bus_problem = fmt::format("interface {} takes no more frames: nobody acknowledges them, or the bus is overloaded",
                               options_.can);
@@ -885,6 +890,16 @@ void Service::take_rows() {
   }
 }
 
+std::string Service::why_down() const {
+  if (state_->bus.bus_off) {
+    return fmt::format(
+        "{0} is bus-off: look at wiring, terminators and bit rate; it comes back by itself only with ip "
+        "link set {0} type can restart-ms 100",
+        options_.can);
+  }
+  return fmt::format("interface {0} is down; ip link set {0} up", options_.can);
+}
+
 void Service::watch_bus() {
   const double now_s = state_->now.seconds();
   if (state_->bus.not_sent > not_sent_seen_) full_until_s_ = now_s + kBusFullShown_s;
@@ -894,7 +909,7 @@ void Service::watch_bus() {
   bus_state_ = now;
   const std::string text = bus_state_ == "up" ? fmt::format("{} takes frames again", options_.can)
                            : bus_state_ == "down"
-                               ? fmt::format("{0} is down; ip link set {0} up", options_.can)
+                               ? why_down()
                                : fmt::format("{} takes no more frames; they are dropped", options_.can);
   log_.say(bus_state_ == "up" ? spdlog::level::info : spdlog::level::err, text);
   notify("bus", -1, std::nullopt, text);

@@ -26,6 +26,8 @@ struct ServiceOptions {
   bool realtime_scheduling = false;
   bool memory_locked = false;
   LedgerFile* ledger = nullptr;  ///< of the gears; null: none is kept. Outlives the service
+  /// Each switch is armed so much later than planned: contact then comes early, and the switch is pulled. For tests.
+  Duration test_switch_late{};
 };
 
 /// Version of the interface in docs/rpc.md.
@@ -119,6 +121,7 @@ class Service final : private RobotPort {
   void take_events();
   void take_rows();
   void watch_bus();
+  [[nodiscard]] std::string why_down() const;
   void watch_clock();
   void step_job();
   void enter_in_ledger(const SwingReport& swing);

@@ -114,6 +114,25 @@ def test_the_brake_holds_and_ctrl_c_stops_a_friction_run(calibrated):
     assert calibrated.file.read_text() == (ROBOT / "robot.yaml").read_text()
 
 
+def test_a_friction_run_finds_what_is_true_and_writes_it(calibrated):
+    """From end to end: 96 s of the joint's time. robot.yaml believes 3.9, 4.6 Nm and 2 Nm s/rad."""
+    calibrated.rpc.done("enable")
+    shown = calibrated.mrr("calibrate", "joint_3", "--write", "--json", timeout=250)
+    assert shown.returncode == 0, shown.stderr
+    found = json.loads(shown.stdout)
+    assert found["written"]
+    # What plant.yaml says of joint 3, and of its motor what robot.yaml says.
+    for way in ("positive", "negative"):
+        fit = found["result"]["friction"][way]
+        assert fit["coulomb_nm"] == pytest.approx(3.8, rel=0.1), fit
+        assert fit["static_nm"] == pytest.approx(4.5, rel=0.1), fit
+        assert fit["viscous_nm_s_rad"] == pytest.approx(1.8, rel=0.15), fit
+        assert fit["stribeck_decay_s2_rad2"] == pytest.approx(1111, rel=0.2), fit
+    calibrated.rpc.wait(lambda s: s["activity"] == "holding" and s["configuration"]["stale"])
+    written = re.search(r"joint_3:.*?friction:.*?coulomb: ([0-9.]+) Nm.*?static: ([0-9.]+) Nm", calibrated.file.read_text(), re.DOTALL)
+    assert float(written.group(1)) == pytest.approx(3.8, rel=0.1) and float(written.group(2)) == pytest.approx(4.5, rel=0.1)
+
+
 def test_no_room_and_a_nail_in_the_way_are_refused(calibrated):
     rpc = calibrated.rpc
     rpc.done("enable")

@@ -61,7 +61,7 @@ class Rpc:
             if not isinstance(message, dict) or message.get("method") != "event":
                 return message
             if self.checked:
-                schema("event").validate(message["params"])
+                schema("notification").validate(message)
             self.events.append(message["params"])
 
     def call(self, method, **params):
@@ -69,6 +69,8 @@ class Rpc:
         self.number += 1
         self.send(json.dumps({"jsonrpc": "2.0", "id": self.number, "method": method, "params": params}).encode())
         answer = self.answer()
+        if self.checked:
+            schema("answer").validate(answer)
         assert answer["id"] == self.number
         return answer
 

@@ -6,6 +6,7 @@
 #include <csignal>
 #include <system_error>
 
+#include "common/robot/command_line.h"
 #include "common/robot/errors.h"
 #include "common/robot/places.h"
 #include "module_fw/targets/host/module_config.h"
@@ -59,7 +60,7 @@ int main(int argc, char** argv) {
   CLI::App app{"mrr_module: the firmware of one joint as a process on a CAN bus."};
   app.set_version_flag("--version", MRR_VERSION);
   app.footer(
-      "SIGTERM or SIGINT stops the joint in order: controlled stop, brake, power stage off.\n"
+      "SIGTERM, SIGINT or SIGHUP stops the joint in order: controlled stop, brake, power stage off.\n"
       "Exit status: 0 stopped as asked, 2 unusable input (robot, joint, interface), 3 defect.");
   std::string robot;
   std::string joint;
@@ -83,15 +84,13 @@ int main(int argc, char** argv) {
     return fmt::format("mrr_module: {}; see mrr_module --help\n", error.what());
   });
   try {
+    refuse_empty_values(app);
     app.parse(argc, argv);
     if (lockstep && options.plant.empty()) {
       throw DescriptionError("--lockstep: there is no plant to be the clock; give --plant, or leave --lockstep out.");
     }
     options.pace = lockstep ? fw::Pace::lockstep : realtime ? fw::Pace::realtime : fw::Pace::as_plant;
-    struct sigaction action {};
-    action.sa_handler = [](int) { stop_requested = 1; };  // without SA_RESTART: waiting ends
-    sigaction(SIGTERM, &action, nullptr);
-    sigaction(SIGINT, &action, nullptr);
+    mrr::on_end([](int) { stop_requested = 1; });
     run(robot, joint, options, test_faults);
   } catch (const CLI::ParseError& error) {
     return app.exit(error) == 0 ? kDone : kUnusable;

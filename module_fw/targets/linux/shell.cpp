@@ -171,10 +171,17 @@ bool Shell::tick(Time now, const RawSensors& sensors, std::span<const can::Recei
   }
   now_ = now;
   tx_.clear();
-  if (can_.bus_off()) {
+  // One that was over before this tick was one all the same.
+  const std::int64_t times_off = can_.statistics().bus_off_events;
+  if (can_.bus_off() || times_off != times_off_) {
+    times_off_ = times_off;
     module_->bus_off(now);
   } else {
     module_->bus_recovered(now);
+  }
+  if (can_.error_passive() != error_passive_) {
+    error_passive_ = can_.error_passive();
+    module_->bus_passive(error_passive_, now);
   }
   module_->step(now, sensors, received, actuator_, tx_);
   if (!tx_.empty()) can_.send({tx_.data(), tx_.size()});
