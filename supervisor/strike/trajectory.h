@@ -110,8 +110,8 @@ struct MotionTorques {
 [[nodiscard]] LimitCheck check_torques_at(const RobotDescription& robot, const Chain& chain, const MotionLimits& limits,
                                           const JointMotion& motion) noexcept;
 
-/// Checks segment k: position, velocity, acceleration, jerk exactly (extremes of the quintics), torques at samples 5 ms
-/// apart, but 24 at least and 400 at most.
+/// Checks segment k: position, velocity, acceleration, jerk exactly (extremes of the quintics), torques at 49
+/// instants, evenly.
 [[nodiscard]] LimitCheck check_segment(const RobotDescription& robot, const Chain& chain, const MotionLimits& limits,
                                        const JointTrajectory& trajectory, std::size_t segment) noexcept;
 /// All segments.
