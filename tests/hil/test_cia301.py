@@ -265,6 +265,24 @@ def test_a_segment_without_a_transfer(wire, segment):
     assert answer[0] == 0x80 and struct.unpack("<I", answer[4:])[0] == UNKNOWN_COMMAND
 
 
+def test_every_command_byte_has_its_answer(wire):
+    """All 256, none of them in a transfer: what is reserved in a known command says nothing, unknown ones are refused."""
+    for command in range(256):
+        wire.drain()
+        wire.send(0x600 + NODE, bytes([command, 0x00, 0x10, 0x00]) + bytes(4))
+        kind = command >> 5
+        if kind == 4:  # the client's abort; the next request would be answered before it
+            wire.send(0x600 + NODE, b"\x40\x01\x10\x00\0\0\0\0")
+            assert wire.expect(SDO).data[:4] == b"\x4f\x01\x10\x00", f"{command:02X}"
+            continue
+        answer = wire.expect(SDO).data
+        if kind == 2:
+            assert answer == b"\x43\x00\x10\x00\x92\x01\x02\x00", f"{command:02X}"
+            continue
+        assert answer[0] == 0x80 and struct.unpack("<I", answer[4:])[0] == (READ_ONLY if kind == 1 else UNKNOWN_COMMAND), f"{command:02X}"
+        assert kind in (0, 3) or answer[1:4] == b"\x00\x10\x00", "the object it is about"
+
+
 def test_toggle_of_a_download(wire):
     wire.ask(b"\x21\x04\x20\x00" + struct.pack("<I", 14))
     assert wire.ask(b"\x00abcdefg")[0] == 0x20
@@ -777,6 +795,27 @@ def test_a_node_id_by_lss(wire):
             assert lss(renamed, 0x11, NODE)[1] == 0
             renamed.nmt(RESET_NODE)
     wire.wait_state(0)
+
+
+def test_lss_tells_identity_and_refuses_what_cannot_be(wire):
+    lss(wire, 0x04, 1)
+    try:
+        for command, part in ((0x5A, 0), (0x5B, 1), (0x5C, 1), (0x5D, NODE)):
+            assert lss(wire, command) == bytes([command]) + struct.pack("<I", part) + bytes(3)
+        for node in (0, 128, 200, 254):
+            assert lss(wire, 0x11, node)[:2] == bytes([0x11, 1]), "1 to 127, and 255 for none"
+        for table, entry in ((0, 9), (0, 5), (1, 0)):
+            assert lss(wire, 0x13, table, entry)[:2] == bytes([0x13, 1])
+        assert lss(wire, 0x11, NODE)[:2] == bytes([0x11, 0])
+    finally:
+        lss(wire, 0x04, 0)
+    for command in (0x11, 0x13, 0x17, 0x5A, 0x5E):
+        assert lss(wire, command, 9) is None, "not in waiting mode"
+    for low, high, found in ((NODE, NODE, True), (0, NODE, True), (NODE + 1, 99, False)):
+        for command, part in ((0x46, 0), (0x47, 1), (0x48, 0), (0x49, 9), (0x4A, low)):
+            assert lss(wire, command, *struct.pack("<I", part)) is None
+        answer = lss(wire, 0x4B, *struct.pack("<I", high))
+        assert (answer is not None and answer[0] == 0x4F) == found
 
 
 def test_fastscan_finds_a_module_without_a_node_id(wire):

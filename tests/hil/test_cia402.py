@@ -243,3 +243,71 @@ def test_interpolation_time_is_the_knot_period_in_another_form(drive):
     assert (drive.read(0x60C2, 1), drive.read(0x60C2, 2, "b")) == (2, -3)
     enable(drive)
     assert drive.abort_of(drive.write, 0x60C2, 1, 4, "B") == STATE, "not while it is led"
+
+
+COMMANDS = {"shutdown": 0x06, "switch on": 0x07, "enable operation": 0x0F, "disable voltage": 0x00, "quick stop": 0x02, "fault reset": 0x80}
+STATES = (DISABLED, READY, ON, ENABLED, QUICK_STOP, FAULT)
+# What each command makes of each state (CiA 402, table of commands); what is not here leaves it. Enable operation from READY goes on
+# through SWITCHED ON; bit 7 set is none of the other commands, whatever the bits below say.
+MATRIX = {
+    "shutdown": {DISABLED: READY, ON: READY, ENABLED: READY},
+    "switch on": {READY: ON, ENABLED: ON},
+    "enable operation": {READY: ENABLED, ON: ENABLED, QUICK_STOP: ENABLED},
+    "disable voltage": {READY: DISABLED, ON: DISABLED, ENABLED: DISABLED, QUICK_STOP: DISABLED},
+    "quick stop": {READY: DISABLED, ON: DISABLED, ENABLED: QUICK_STOP},
+    "fault reset": {FAULT: DISABLED},
+}
+WAY = {READY: (6,), ON: (6, 7), ENABLED: (6, 7, 15), QUICK_STOP: (6, 7, 15, 2)}
+
+
+def bring_to(wire, state):
+    word = wire.read(0x6041)
+    if word & 0x4F == FAULT:
+        command(wire, 0)
+        command(wire, 0x80)
+    command(wire, 0)
+    shows(wire, DISABLED)
+    if state == FAULT:
+        provoke(wire, 0x2310)
+        shows(wire, FAULT)
+    for step, shown in zip(WAY.get(state, ()), (READY, ON, ENABLED, QUICK_STOP)):
+        command(wire, step)
+        shows(wire, shown)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_in_every_state(drive, name):
+    drive.write(0x6060, 0, 8, "b")
+    for state in STATES:
+        bring_to(drive, state)
+        # Halt and the bits of the maker and of the mode say nothing about the state.
+        command(drive, COMMANDS[name] | (0xF800 if state in (DISABLED, READY) else 0))
+        wanted = MATRIX[name].get(state, state)
+        shows(drive, wanted)
+        time.sleep(0.05)
+        shows(drive, wanted, 0.1)
+        word = drive.read(0x6041)
+        assert word & 0x200, "remote"
+        assert not (wanted == FAULT and word & 0x80), "a fault is no warning"
+
+
+def test_bits_of_the_mode_in_cyclic_position(drive):
+    """Bit 12: the target is followed. Bit 13: following error, from the window on; the fault comes with its time (6065h, 6066h)."""
+    drive.write(0x2003, 0, 20_000, "I")  # a period that this client keeps
+    drive.write(0x2130, 2, 1000, "H")
+    drive.write(0x6065, 0, 1, "I")
+    drive.write(0x6066, 0, 60_000, "H")
+    target = drive.read(0x6064, form="i")
+    enable(drive)
+    seen, next_at = 0, time.monotonic()
+    for k in range(150):
+        drive.send(0x300 + NODE, (target + 10 * max(0, k - 60) ** 2).to_bytes(4, "little", signed=True) + bytes(4))
+        drive.sync()
+        if k % 5 == 4:
+            seen |= drive.read(0x6041)
+        next_at += 0.02
+        time.sleep(max(0.0, next_at - time.monotonic()))
+    assert seen & 0x1000, "bit 12"
+    assert seen & 0x2000, "bit 13"
+    assert drive.read(0x6041) & 0x6F == ENABLED

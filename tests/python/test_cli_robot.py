@@ -473,3 +473,60 @@ def test_ctrl_c_stops_a_calibration(supervisor, program, calibrating):
     child.send_signal(signal.SIGINT)
     assert child.wait(timeout=10) == 130 and "the robot was stopped" in child.stderr.read()
     assert ("stop", {}) in supervisor.asked
+
+
+ENVELOPES = [b"hello", b"", b"5", b"[]", b"{}", b'{"jsonrpc":"2.0","id":1,"error":"x"}', b'{"jsonrpc":"2.0","id":1,"error":{"code":"x","message":3}}',
+             b'{"jsonrpc":"2.0","id":1,"result":null}', b'{"jsonrpc":"2.0","id":1,"result":{}}', b'{"jsonrpc":"2.0","id":1,"result":[]}',
+             b'{"jsonrpc":"2.0","id":1,"result":{"interface_version":"one"}}', b'{"jsonrpc":"2.0","id":1,"result":1e999}',
+             b'{"jsonrpc":"2.0","id":1,"result":{"interface_version":1}}', b'{"jsonrpc":"2.0","id":1,"result":{"a":"\xff"}}', b"[" * 100000]
+
+
+@pytest.mark.parametrize("line", ENVELOPES, ids=lambda line: line[:40].decode("latin-1"))
+def test_a_strange_answer_is_told_and_is_no_defect(mrr, tmp_path, line):
+    """Something else listens there, or another version."""
+    server = socket.socket(socket.AF_UNIX)
+    server.bind(str(tmp_path / "supervisor.sock"))
+    server.listen()
+
+    def answer():
+        while True:
+            try:
+                client, _ = server.accept()
+            except OSError:
+                return
+            with client, client.makefile("rwb") as lines:
+                try:
+                    for _ in lines:
+                        lines.write(line + b"\n")
+                        lines.flush()
+                except OSError:
+                    pass
+
+    threading.Thread(target=answer, daemon=True).start()
+    try:
+        run = mrr("status")
+    finally:
+        server.close()
+    assert run.returncode == 1 and run.stderr.startswith("mrr: ") and run.stderr.count("\n") == 1, run.stderr
+
+
+def test_a_supervisor_of_another_interface_version_is_refused_but_for_stop(mrr, supervisor):
+    supervisor.answers["hello"] = lambda: {**hello(), "interface_version": 2}
+    supervisor.check = lambda *_: None
+    for arguments in (("status",), ("enable", "--no-wait"), ("move", "1=0.1rad", "--no-wait")):
+        run = mrr(*arguments)
+        assert run.returncode == 1 and "interface version 2" in run.stderr, run.stderr
+    assert mrr("stop", "--no-wait").returncode == 0
+
+
+@pytest.mark.parametrize("name, arguments", [
+    ("cli/mrr", ("status", "--socket", "")), ("cli/mrr", ("hammer", "--out", "")), ("cli/mrr", ("hammer", "--bus", "")),
+    ("supervisor/daemon/mrr_supervisor", ("--robot", "mrr3", "--can", "")), ("supervisor/daemon/mrr_supervisor", ("--robot", "mrr3", "--plant", "")),
+    ("module_fw/targets/linux/mrr_module", ("--robot", "mrr3", "--joint", "1", "--can", "")),
+    ("module_fw/targets/linux/mrr_module", ("--robot", "mrr3", "--joint", "1", "--plant", "")),
+    ("sim_vcan/targets/mrr_plant", ("--robot", "mrr3", "--plant", "vcan1", "--socket", "")),
+], ids=lambda value: value if isinstance(value, str) else " ".join(value))
+def test_an_option_with_an_empty_value_is_refused_by_name(program, name, arguments):
+    run = subprocess.run([program(name), *arguments], capture_output=True, text=True, timeout=30)
+    option = arguments[arguments.index("") - 1]
+    assert run.returncode == 2 and option in run.stderr and "empty" in run.stderr, run.stderr
