@@ -1,6 +1,7 @@
 """`mrr calibrate` with all processes on vcan: the modules believe a robot.yaml that is not what the emulator does."""
 
 import json
+import os
 import re
 import signal
 import subprocess
@@ -114,14 +115,17 @@ def test_the_brake_holds_and_ctrl_c_stops_a_friction_run(calibrated):
     assert calibrated.file.read_text() == (ROBOT / "robot.yaml").read_text()
 
 
+@pytest.mark.skipif("MRR_LONG" not in os.environ, reason="a whole friction run takes a minute and a half and more: MRR_LONG=1 asks for it")
 def test_a_friction_run_finds_what_is_true_and_writes_it(calibrated):
     """From end to end: 96 s of the joint's time. robot.yaml believes 3.9, 4.6 Nm and 2 Nm s/rad."""
     calibrated.rpc.done("enable")
-    shown = calibrated.mrr("calibrate", "joint_3", "--write", "--json", timeout=250)
+    # The torque constant it finds (2 % less) would let the peak current give less than the URDF's effort limit.
+    shown = calibrated.mrr("calibrate", "joint_3", "--write", "--keep-torque-constants", "--json", timeout=250)
     assert shown.returncode == 0, shown.stderr
     found = json.loads(shown.stdout)
     assert found["written"]
-    # What plant.yaml says of joint 3, and of its motor what robot.yaml says.
+    # What plant.yaml says of joint 3, and robot.yaml of its motor.
+    assert found["result"]["friction"]["torque_constant_positive_nm_a"] == pytest.approx(0.19, rel=0.1)
     for way in ("positive", "negative"):
         fit = found["result"]["friction"][way]
         assert fit["coulomb_nm"] == pytest.approx(3.8, rel=0.1), fit

@@ -16,45 +16,19 @@ using testing::Not;
 
 int port_of(int joint) { return joint + 1; }
 
-/// A job step by step, so that a test may interfere and look on after its end.
-class Job {
+/// A robot with a job.
+class Job : public WatchedWorld {
  public:
-  explicit Job(const RobotDescription& robot, const std::string& board = "styrofoam", std::uint64_t seed = 1)
-      : robot_(robot),
-        world_(robot_, plant_on(robot_, board), seeded(seed).world),
-        session_(robot_, world_.supervisor(), seeded(seed).session) {
-    put_to_rest(world_);
-  }
+  explicit Job(const RobotDescription& robot) : WatchedWorld(robot) {}
 
-  /// One instant; true when the supervisor has stepped.
-  bool step() {
-    world_.step();
-    if (!world_.supervisor_stepped()) return false;
-    for (const sup::Event& event : world_.supervisor().events()) events_.push_back(event);
-    world_.supervisor().events().clear();
-    over_ = session_.step(world_.now());
-    return true;
-  }
-  template <typename Condition>
-  [[nodiscard]] bool run_until(Condition&& condition, Duration limit) {
-    const Time end = world_.now() + limit;
-    while (world_.now() < end) {
-      if (step() && condition()) return true;
-    }
-    return false;
-  }
-  void run_for(Duration time) {
-    const Time end = world_.now() + time;
-    while (world_.now() < end) step();
-  }
-  [[nodiscard]] bool swinging() const { return world_.supervisor().activity() == sup::Activity::swinging; }
-  [[nodiscard]] Time planned_contact() const { return world_.supervisor().outcome().planned_contact; }
+  [[nodiscard]] bool swinging() { return supervisor().activity() == sup::Activity::swinging; }
+  [[nodiscard]] Time planned_contact() { return supervisor().outcome().planned_contact; }
 
-  const RobotDescription robot_;
-  World world_;
-  sup::HammerSession session_;
-  std::vector<sup::Event> events_;
+  sup::HammerSession session_{robot_, supervisor(), seeded(1).session};
   bool over_ = false;
+
+ private:
+  void supervisor_stepped() override { over_ = session_.step(world_.now()); }
 };
 
 /// All joints but `lost` rest, enabled or braked, and stay where they are for `time`.

@@ -46,17 +46,25 @@ inline int count(const std::vector<sup::Event>& events, sup::EventKind kind) {
   return n;
 }
 
-/// mrr3 on foam, at rest, with no session: the test is the one who asks. Events are kept.
-class WatchedRobot : public testing::Test {
- protected:
-  WatchedRobot() { put_to_rest(world_); }
+/// A robot at rest in its world, step by step, so that a test may interfere. Events are kept.
+class WatchedWorld {
+ public:
+  explicit WatchedWorld(const RobotDescription& robot, const std::string& board = "styrofoam", std::uint64_t seed = 1)
+      : robot_(robot), world_(robot_, plant_on(robot_, board), seeded(seed).world) {
+    put_to_rest(world_);
+  }
+  WatchedWorld(const WatchedWorld&) = delete;
+  WatchedWorld& operator=(const WatchedWorld&) = delete;
+  virtual ~WatchedWorld() = default;
+
   [[nodiscard]] sup::Supervisor& supervisor() { return world_.supervisor(); }
-  /// True if the supervisor stepped.
+  /// One instant; true if the supervisor stepped.
   bool step() {
     world_.step();
     if (!world_.supervisor_stepped()) return false;
     for (const sup::Event& event : supervisor().events()) events_.push_back(event);
     supervisor().events().clear();
+    supervisor_stepped();
     return true;
   }
   template <typename Condition>
@@ -72,9 +80,18 @@ class WatchedRobot : public testing::Test {
     while (world_.now() < end) step();
   }
 
-  const RobotDescription robot_ = example("mrr3");
-  World world_{robot_, plant_on(robot_, "styrofoam"), seeded(1).world};
+  const RobotDescription robot_;
+  World world_;
   std::vector<sup::Event> events_;
+
+ private:
+  virtual void supervisor_stepped() {}
+};
+
+/// mrr3 on foam with no session: the test is the one who asks.
+class WatchedRobot : public testing::Test, protected WatchedWorld {
+ protected:
+  WatchedRobot() : WatchedWorld(example("mrr3")) {}
 };
 
 inline bool planned_passive(const sup::StrikePlan& plan, std::size_t joint) {
