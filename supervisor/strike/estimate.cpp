@@ -8,10 +8,9 @@
 namespace mrr::sup {
 
 namespace {
-constexpr double kStandingShare = 0.5;  // of the mean force, that a nail withstands at rest
-constexpr double kLeastNoise_n = 1.0;   // of one force: what was quiet before a blow need not be so in it
-constexpr double kSeenEnd_m = 1e-3;     // how well the observer alone knows where contact ended, one standard deviation
-constexpr double kLeastSd_m = 2e-4;     // of a height: torsion, encoders and the face's tilt are not in the fit
+constexpr double kLeastNoise_n = 1.0;  // of one force: what was quiet before a blow need not be so in it
+constexpr double kSeenEnd_m = 1e-3;    // how well the observer alone knows where contact ended, one standard deviation
+constexpr double kLeastSd_m = 2e-4;    // of a height: torsion, encoders and the face's tilt are not in the fit
 constexpr double kLeastRubberShare = 0.03;  // it is never known better than this: one face is not the next blow's
 constexpr double kLeastDampingSd_s_m = 0.1;
 }  // namespace
@@ -80,10 +79,10 @@ bool StrikeEstimator::learn(const StrikePlan& plan, const ContactReport& report)
     sdr_ += middle * resistance;
   }
   depth_m_ += moved;
-  nail_moved_ = moved > config_.least_penetration_m;
   // The nail goes where the reference goes, give or take what the blow adds and the joints give way. One that did not
-  // move says nothing of that: aiming deeper would only press against it.
-  if (moved > config_.least_penetration_m) {
+  // move says nothing of that: aiming deeper would only press against it. Nor does a blow of passive joints, which
+  // follow no reference.
+  if (moved > config_.least_penetration_m && plan.passive == 0) {
     const double offset = moved - plan.follow_through_m;
     offset_m_ = has_offset_ ? config_.memory * offset_m_ + (1.0 - config_.memory) * offset : offset;
     has_offset_ = true;
@@ -107,10 +106,6 @@ ContactLaw StrikeEstimator::contact_law(double room_m) const noexcept {
     law.face_stiffness_n_m = rubber_.stiffness_n_m;
     law.face_damping_s_m = rubber_.damping_s_m;
   }
-  if (!nail_moved_) return law;
-  // Blows tell the mean force against depth; half of it is taken for the nail's damping, which is not seen apart.
-  const double mean_n = resistance_n(depth_m_);
-  law.nail_resistance_n = kStandingShare * mean_n;
   return law;
 }
 

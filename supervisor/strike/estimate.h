@@ -52,7 +52,9 @@ class StrikeEstimator {
   [[nodiscard]] double depth_m() const noexcept { return depth_m_; }  ///< driven so far
   [[nodiscard]] int blows() const noexcept { return blows_; }
   [[nodiscard]] const RubberBelief& rubber() const noexcept { return rubber_; }
-  /// What the next blow meets, for the prediction over the contact. Until a nail has moved it stands.
+  /// What the next blow is predicted against: the rubber as it was found, on a nail that stands. One that gives way
+  /// lets drives press for long, and newton seconds that are pressed are not struck: selections compared so lean on the
+  /// nail.
   [[nodiscard]] ContactLaw contact_law(double room_m) const noexcept;
   /// How far past the head the reference should go for the nail to move by `wanted_m` in the next blow.
   [[nodiscard]] double follow_through_for(double wanted_m) const noexcept;
@@ -69,7 +71,6 @@ class StrikeEstimator {
   double s1_ = 0.0, sd_ = 0.0, sdd_ = 0.0, sr_ = 0.0, sdr_ = 0.0;
   // penetration = follow-through + offset
   double offset_m_ = 0.0;
-  bool nail_moved_ = false;  // in the last blow
   bool has_offset_ = false;
 };
 

@@ -174,7 +174,7 @@ Planner::Planner(const RobotDescription& robot, const Chain& chain, const PlanIn
     // The design contact, not the learnt one: a soft nail's long contact is no reason to strike softer.
     const double by_gear =
         joint_speed_limit_rad_s(joint, robot_.task.assumed_contact_s, robot_.task.impacts_over_momentary_peak);
-    speed_limit_[i] = share * std::min(by_gear, limits_.velocity_rad_s[i]);
+    speed_limit_[i] = share * std::min(request_.speed_factor * by_gear, limits_.velocity_rad_s[i]);
     controlled_inertia_[at(i)] = controlled_extra_inertia(
         joint.control.position_gain_nm_rad, joint.control.velocity_gain_nm_s_rad, request_.contact_duration_s);
     joint_[at(i)].limits = impulse_limits(joint.transmission, request_.contact_duration_s);
@@ -1036,6 +1036,7 @@ std::string validate_input(const RobotDescription& robot, const PlanInput& r) {
                 {"contact_duration_s", r.contact_duration_s, 1e-4, 1.0, "s"},
                 {"follow_through_m", r.follow_through_m, 0.0, 0.2, "m"},
                 {"speed_share", r.speed_share, 1e-3, 1.0, "(no unit)"},
+                {"speed_factor", r.speed_factor, 1.0, 10.0, "(no unit)"},
                 {"wanted_penetration_m", r.wanted_penetration_m, 0.0, 0.2, "m"}};
   for (const auto& [name, value, low, high, unit] : ranges) {
     if (value >= low && value <= high) continue;

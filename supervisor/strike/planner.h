@@ -47,6 +47,9 @@ struct PlanInput {
   RotorModel rotors = RotorModel::sym;
   JointVector start;         ///< present position, rad
   double speed_share = 1.0;  ///< of the speed the limits allow, times TaskDescription::max_speed_share; 0..1
+  /// >= 1: times the speed of (59), which takes every blow for a momentary-torque event. More than 1 is for loads that
+  /// were seen to be far below: motor and description still bound the speed, and predicted peaks the choice.
+  double speed_factor = 1.0;
   /// > 0: not as fast as the limits allow, but the slowest blow that drives the nail this far, by P t_s / M* (33),
   /// (34), with the M* and t_s given here. A nail that was never seen to move (M* infinite) is struck as fast as
   /// allowed.

@@ -13,6 +13,10 @@ constexpr int kMisses = 2;                 // swings in a row that met nothing
 constexpr double kFirstHeightSd_m = 1e-3;  // of the height the task says, one standard deviation
 constexpr double kMayMove_m = 2e-4;        // by which a nail may have moved in a blow that seems to have left it
 constexpr double kTellsApart = 2.0;        // standard deviations
+constexpr double kFlushReserve = 0.5;      // standard deviations that a head must be below the tolerance
+constexpr double kSeenShare = 0.7;         // of rated: peaks seen may grow to this
+constexpr double kMostFaster = 1.5;        // from one blow to the next
+constexpr double kMostFactor = 2.5;        // over (59)
 
 /// Names of the object dictionary as words.
 std::string words(std::string name) {
@@ -126,16 +130,50 @@ PlanInput HammerSession::next_request() const {
   request.formulation = options_.formulation;
   request.measure = options_.measure;
   request.start = port_.reference_position();
+  request.speed_factor = speed_factor_;
   request.seed = options_.seed;
   return request;
 }
 
-void HammerSession::plan_next() {
+/// How much faster than (59) the next blow may be. Loads grow with the speed: what the torque sensors saw says by how
+/// much they may, with a reserve for the next blow being harder. Only where it saves a blow: a nail that moves, and
+/// that another blow like this one would not finish.
+double HammerSession::next_speed_factor(const SwingReport& swing, double moved_m) const {
+  if (!options_.learn || !(moved_m > 0.0) || swing.head_height_after_m <= moved_m) return 1.0;
+  double use = 0.0;
+  for (int i = 0; i < robot_.dof(); ++i) {
+    const JointDescription& joint = robot_.joints[static_cast<std::size_t>(i)];
+    if (!joint.sensors.torque_sensor) return 1.0;
+    use = std::max(use, swing.outcome.peak_torque_nm[static_cast<std::size_t>(i)] / joint.transmission.rated_nm);
+  }
+  if (!(use > 0.0)) return 1.0;
+  return std::clamp(swing.speed_factor * std::min(kMostFaster, kSeenShare / use), 1.0, kMostFactor);
+}
+
+/// A plan at more than the speed of (59), if there is one with all peaks predicted below rated.
+bool HammerSession::plan_faster() {
   try {
     plan_ = sup::plan(robot_, chain_, next_request());
-  } catch (const PlanError& error) {
-    finish(Verdict::plan_refused, error.what());
-    return;
+  } catch (const PlanError&) {
+    return false;
+  }
+  if (!plan_->blow.feasible) return false;
+  for (int i = 0; i < robot_.dof(); ++i) {
+    const double rated_nm = robot_.joints[static_cast<std::size_t>(i)].transmission.rated_nm;
+    if (!(plan_->blow.peak_torque_nm[i] <= rated_nm)) return false;
+  }
+  return true;
+}
+
+void HammerSession::plan_next() {
+  if (!(speed_factor_ > 1.0 && plan_faster())) {
+    speed_factor_ = 1.0;
+    try {
+      plan_ = sup::plan(robot_, chain_, next_request());
+    } catch (const PlanError& error) {
+      finish(Verdict::plan_refused, error.what());
+      return;
+    }
   }
   // Planning takes long: whoever steps the session may have been asked to stop meanwhile.
   state_ = SessionState::planned;
@@ -157,6 +195,7 @@ void HammerSession::learn() {
   report.outcome = port_.outcome();
   report.head_height_before_m = head_height_m_;
   report.restitution = estimator_.restitution();
+  report.speed_factor = speed_factor_;
   report.nail_mass_kg = estimator_.nail_mass_kg();
   report.head_height_after_m = head_height_m_;
   const SwingOutcome& outcome = report.outcome;
@@ -188,6 +227,7 @@ void HammerSession::learn() {
     blow.penetration_m = moved_m;
     if (options_.learn) estimator_.learn(*plan_, blow);
   }
+  speed_factor_ = next_speed_factor(report, moved_m);
   head_height_m_ = std::max(0.0, report.head_height_after_m);
   swings_.push_back(report);
 
@@ -202,7 +242,7 @@ void HammerSession::learn() {
   } else if (contact.phase != ContactPhase::over) {
     // A soft blow may go unfelt; where the head is will show in the next one.
     state_ = SessionState::planning;
-  } else if (head_height_m_ <= task.flush_tolerance_m) {
+  } else if (head_height_m_ + kFlushReserve * head_sd_m_ <= task.flush_tolerance_m) {
     finish(Verdict::flush,
            fmt::format("the head is flush after {} swing{}", report.number, report.number == 1 ? "" : "s"));
   } else {

@@ -50,6 +50,7 @@ struct SwingReport {
   double head_sd_after_m = 0.0;       ///< its standard deviation
   double restitution = 0.0;           ///< assumed by the plan
   double nail_mass_kg = 0.0;          ///< assumed by the plan
+  double speed_factor = 1.0;          ///< PlanInput::speed_factor of the plan
 };
 
 class HammerSession {
@@ -73,9 +74,11 @@ class HammerSession {
  private:
   void finish(Verdict verdict, std::string reason);
   void plan_next();
+  [[nodiscard]] bool plan_faster();
   void execute();
   void learn();
   [[nodiscard]] PlanInput next_request() const;
+  [[nodiscard]] double next_speed_factor(const SwingReport& swing, double moved_m) const;
   [[nodiscard]] std::string bring_up_report(bool refused_only = false) const;
 
   const RobotDescription& robot_;
@@ -89,7 +92,8 @@ class HammerSession {
   std::optional<StrikePlan> plan_;
   std::vector<SwingReport> swings_;
   double head_height_m_;
-  double head_sd_m_;  // of it, one standard deviation
+  double head_sd_m_;           // of it, one standard deviation
+  double speed_factor_ = 1.0;  // PlanInput::speed_factor of the next blow
   int still_in_a_row_ = 0;
   int misses_in_a_row_ = 0;
   bool started_ = false;

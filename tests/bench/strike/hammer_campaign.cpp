@@ -46,9 +46,11 @@ int main(int argc, char** argv) {
   CLI::App app{"Hammering jobs over seeds, learning and not."};
   int seeds = 20;
   std::string robot_name = "mrr3";
+  std::vector<std::string> boards = {"styrofoam", "dense_foam", "hardwood"};
   bool each = false;
   app.add_option("--seeds", seeds, "1 to this")->capture_default_str();
   app.add_option("--robot", robot_name, "folder under robots/")->capture_default_str();
+  app.add_option("--boards", boards, "names of files in robots/boards, or files")->capture_default_str();
   app.add_flag("--each", each, "a line per swing besides");
   CLI11_PARSE(app, argc, argv);
 
@@ -58,7 +60,9 @@ int main(int argc, char** argv) {
       "| board, mode, plan | flush | swings to the verdict | height after a swing, mm rms / largest | within 1 mm | "
       "impulse felt, % median / 95th | within 10 % | said wrong | limit broken |\n"
       "| --- | --- | --- | --- | --- | --- | --- | --- | --- |\n");
-  for (const char* board : {"styrofoam", "hardwood"}) {
+  for (const std::string& board : boards) {
+    std::filesystem::path file = robots / "boards" / fmt::format("{}.yaml", board);
+    if (!std::filesystem::exists(file)) file = board;
     for (const sup::PassiveMode mode : {sup::PassiveMode::planned, sup::PassiveMode::never}) {
       for (const bool learn : {true, false}) {
         Tally tally;
@@ -68,7 +72,7 @@ int main(int argc, char** argv) {
           options.world.max_boot_delay = milliseconds(100);
           options.session.mode = mode;
           options.session.learn = learn;
-          const sim::PlantDescription plant = sim::load_plant(robot, robots / "boards" / fmt::format("{}.yaml", board));
+          const sim::PlantDescription plant = sim::load_plant(robot, file);
           const sim::HammerJobResult result = sim::run_hammer_job(robot, plant, options);
           const bool flush = result.verdict == sup::Verdict::flush;
           tally.flush += flush && result.really_flush ? 1 : 0;

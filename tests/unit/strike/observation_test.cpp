@@ -428,6 +428,18 @@ TEST(Estimator, LearnsTheEffectiveMassOfTheReferencesFirstBlow) {
   EXPECT_NEAR(estimator.follow_through_for(0.010), 0.010 - 0.0048, 1e-9);
 }
 
+TEST(Estimator, LearnsNothingOfTheReferenceFromJointsThatDoNotFollowIt) {
+  StrikePlan plan;
+  plan.effective_mass_kg = 2.2;
+  plan.follow_through_m = 0.0172;
+  plan.passive = 0b010;
+  StrikeEstimator estimator(0.05);
+  const double before_m = estimator.follow_through_for(0.010);
+  ASSERT_TRUE(estimator.learn(plan, blow_report(1.02, 0.150, 0.022, 0.47)));
+  EXPECT_EQ(estimator.follow_through_for(0.010), before_m);
+  EXPECT_TRUE(std::isinf(estimator.contact_law(0.02).nail_resistance_n));
+}
+
 TEST(Estimator, TakesANailThatDoesNotMoveForARigidBoard) {
   StrikePlan plan;
   plan.effective_mass_kg = 2.2;
