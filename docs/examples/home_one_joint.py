@@ -4,8 +4,9 @@
     home_one_joint.py --eds module.eds [--channel vcan0] [--node 4] [--method 20]
 
 CiA 402 homing methods: 20 and 22 search the home switch in the positive and in the negative direction, and meet its edge
-slowly; 4 and 6 then go on to the encoder's next index pulse; -1 is the search that the module is configured for; 35 and 37
-are here. Needs: pip install canopen python-can. Explained in docs/clients.md.
+slowly; 19 and 21 leave it again; 17 and 18 leave the negative and the positive limit switch; 1 to 6 are those six, then on
+to the encoder's next index pulse; 33 and 34 are that pulse alone; -1 is the search that the module is configured for; 35
+and 37 are here. Needs: pip install canopen python-can. Explained in docs/clients.md.
 """
 
 import argparse
@@ -39,7 +40,7 @@ def main():
         sdo["homing_speeds"]["homing_speed_switch_urad_s"].raw = round(options.fast / MICRO)
         sdo["homing_speeds"]["homing_speed_zero_urad_s"].raw = round(options.slow / MICRO)
         if options.reads is not None:
-            where = "homing_index_position_urad" if options.method in (4, 6) else "homing_switch_position_urad"
+            where = "homing_index_position_urad" if options.method in (1, 2, 3, 4, 5, 6, 33, 34) else "homing_switch_position_urad"
             sdo["homing_details"][where].raw = round(options.reads / MICRO)
         joint.enable("HOMING")  # what was written comes into force with it
         if not joint.node.homing(timeout=120):
