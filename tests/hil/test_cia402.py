@@ -292,24 +292,3 @@ def test_every_command_in_every_state(drive, name):
         word = drive.read(0x6041)
         assert word & 0x200, "remote"
         assert not (wanted == FAULT and word & 0x80), "a fault is no warning"
-
-
-def test_bits_of_the_mode_in_cyclic_position(drive):
-    """Bit 12: the target is followed. Bit 13: following error, from the window on; the fault comes with its time (6065h, 6066h)."""
-    drive.write(0x2003, 0, 20_000, "I")  # a period that this client keeps
-    drive.write(0x2130, 2, 1000, "H")
-    drive.write(0x6065, 0, 1, "I")
-    drive.write(0x6066, 0, 60_000, "H")
-    target = drive.read(0x6064, form="i")
-    enable(drive)
-    seen, next_at = 0, time.monotonic()
-    for k in range(150):
-        drive.send(0x300 + NODE, (target + 10 * max(0, k - 60) ** 2).to_bytes(4, "little", signed=True) + bytes(4))
-        drive.sync()
-        if k % 5 == 4:
-            seen |= drive.read(0x6041)
-        next_at += 0.02
-        time.sleep(max(0.0, next_at - time.monotonic()))
-    assert seen & 0x1000, "bit 12"
-    assert seen & 0x2000, "bit 13"
-    assert drive.read(0x6041) & 0x6F == ENABLED

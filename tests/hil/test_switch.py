@@ -186,3 +186,31 @@ def test_now_is_in_force_one_tick_after_it_was_sent(leader, capsys):
         wall_ms.append((max(leader.answers[j][1] for j in joints) - sent_at) * 1e3)
     report(capsys, f"now: in force after {min(ticks)} to {max(ticks)} ticks of 1 ms; wall ms: {percentiles(wall_ms)}")
     assert set(ticks) == {1}
+
+
+def test_bits_12_and_13_of_mode_8_are_following_and_following_error(leader):
+    """CiA 402: bit 13 from the following error window (6065h) on, the fault only after its time (6066h)."""
+    node = NODES[-1]
+    leader.lead_back()
+    leader.send(0x200 + node, "Hb", 0, 8)
+    leader.steps_until(lambda: leader.statusword(node) & 0x4F == 0x40, 2000, "disabled")
+    leader.write(node, 0x6065, 0, "I", 1)
+    leader.write(node, 0x6066, 0, "H", 60_000)
+    for word, bits in ((6, 0x21), (7, 0x23), (15, 0x27)):
+        leader.send(0x200 + node, "Hb", word, 8)
+        leader.steps_until(lambda b=bits: leader.statusword(node) & 0x6F == b, 400, f"{word}")
+    leader.steps_until(lambda: leader.latest[0x180 + node][2] == 8, 1000, "mode 8")
+    leader.home[node] += 50_000
+    words = set()
+    step = leader.step
+
+    def watched():
+        step()
+        words.add(leader.statusword(node))
+
+    leader.step = watched
+    leader.lead_back()
+    del leader.step
+    assert any(word & 0x3000 == 0x3000 for word in words), "followed, and off by more than the window"
+    assert all(word & 0x6F == 0x27 for word in words)
+    assert leader.statusword(node) & 0x1000
