@@ -28,6 +28,7 @@ struct PredictArguments {
   std::string held;
   std::string model = "all";
   std::string board;
+  int robots = 9;
   bool json = false;
 };
 
@@ -104,14 +105,35 @@ Json model_json(sup::PredictionModel model, const sup::Prediction& p) {
           {"axis_impulse_nm_s", list(p.axis_impulse_nm_s)},
           {"blow_impulse_nm_s", list(p.blow_impulse_nm_s)},
           {"carried_before_nm", list(p.carried_before_nm)},
-          {"peak_torque_nm", list(p.peak_torque_nm)}};
+          {"peak_torque_nm", list(p.peak_torque_nm)},
+          {"impulse_low_n_s", sup::number(p.impulse_low_n_s)},
+          {"impulse_high_n_s", sup::number(p.impulse_high_n_s)},
+          {"axis_impulse_low_nm_s", list(p.axis_impulse_low_nm_s)},
+          {"axis_impulse_high_nm_s", list(p.axis_impulse_high_nm_s)},
+          {"peak_torque_low_nm", list(p.peak_torque_low_nm)},
+          {"peak_torque_high_nm", list(p.peak_torque_high_nm)}};
+}
+
+/// What the blow may be with other robots of this description.
+void print_range(const RobotDescription& robot, const sup::Prediction& p, int robots) {
+  fmt::print(
+      "\nSmallest and largest over {} robots of this description\n"
+      "  nail      {:>8.3f} {:>8.3f} N s\n"
+      "  joint     all, N m s          peak, N m\n",
+      robots, p.impulse_low_n_s, p.impulse_high_n_s);
+  for (int i = 0; i < robot.dof(); ++i) {
+    fmt::print("  {:<8}  {:>8.4f} {:>8.4f}   {:>7.2f} {:>7.2f}\n", robot.joints[static_cast<std::size_t>(i)].name,
+               shown(p.axis_impulse_low_nm_s[i], 5e-5), shown(p.axis_impulse_high_nm_s[i], 5e-5),
+               p.peak_torque_low_nm[i], p.peak_torque_high_nm[i]);
+  }
 }
 
 int run_predict(const PredictArguments& a) {
   const RobotDescription robot = load_robot(find_robot(a.strike.robot));
   const sup::StrikeArm arm(robot);
   const double height_m = a.strike.height_mm < 0.0 ? robot.task.nail_height_m : 1e-3 * a.strike.height_mm;
-  const sup::PredictInput in = blow_of(robot, a, height_m);
+  sup::PredictInput in = blow_of(robot, a, height_m);
+  in.robots = a.robots;
   Json models = Json::array();
   std::vector<std::pair<sup::PredictionModel, sup::Prediction>> made;
   for (const sup::PredictionModel model : kModels) {
@@ -180,6 +202,7 @@ int run_predict(const PredictArguments& a) {
                  100.0 * p.peak_torque_nm[i] / joint.transmission.repeated_peak_nm,
                  hold_name(in.joints[static_cast<std::size_t>(i)]));
     }
+    if (model == sup::PredictionModel::resolved && a.robots > 1) print_range(robot, p, a.robots);
   }
   return feasible ? kExitDone : kExitNotDone;
 }
@@ -205,6 +228,9 @@ void add_predict_command(CLI::App& app, int& status) {
       ->add_option("--board", arguments->board,
                    "styrofoam, hardwood, or a board's YAML file (default: e, M* and contact as given)")
       ->type_name("NAME");
+  command->add_option("--robots", arguments->robots, "Robots of this description the resolved model tries")
+      ->check(CLI::Range(1, 32))
+      ->capture_default_str();
   command->add_flag("--json", arguments->json, "Print one JSON object and nothing else");
   command->callback([arguments, &status] { status = run_predict(*arguments); });
 }

@@ -219,6 +219,7 @@ void bind_prediction(py::module_& m) {
       .def_readwrite("contact", &In::contact)
       .def_readwrite("switch_lead_s", &In::switch_lead_s)
       .def_readwrite("passive_s", &In::passive_s)
+      .def_readwrite("robots", &In::robots, "robots of this description that the resolved model tries, 1 to 32")
       .def_readwrite("restitution", &In::restitution, "instant model; NaN: from the contact law")
       .def_readwrite("nail_mass_kg", &In::nail_mass_kg, "M*, instant model; inf: rigid")
       .def_readwrite("contact_s", &In::contact_s, "t_s, instant model; NaN: from the contact law")
@@ -250,6 +251,8 @@ void bind_prediction(py::module_& m) {
   output.def_readonly("feasible", &Out::feasible)
       .def_readonly("approaching", &Out::approaching)
       .def_readonly("impulse_n_s", &Out::impulse_n_s)
+      .def_readonly("impulse_low_n_s", &Out::impulse_low_n_s, "smallest over the robots tried")
+      .def_readonly("impulse_high_n_s", &Out::impulse_high_n_s)
       .def_readonly("contact_s", &Out::contact_s)
       .def_readonly("peak_force_n", &Out::peak_force_n)
       .def_readonly("penetration_m", &Out::penetration_m)
@@ -273,6 +276,10 @@ void bind_prediction(py::module_& m) {
   joint_result(output, "blow_impulse_nm_s", &Out::blow_impulse_nm_s, "the blow's part of it");
   joint_result(output, "carried_before_nm", &Out::carried_before_nm, "as contact begins");
   joint_result(output, "peak_torque_nm", &Out::peak_torque_nm, "largest magnitude during contact");
+  joint_result(output, "axis_impulse_low_nm_s", &Out::axis_impulse_low_nm_s, "smallest over the robots tried");
+  joint_result(output, "axis_impulse_high_nm_s", &Out::axis_impulse_high_nm_s, "largest over the robots tried");
+  joint_result(output, "peak_torque_low_nm", &Out::peak_torque_low_nm, "smallest over the robots tried");
+  joint_result(output, "peak_torque_high_nm", &Out::peak_torque_high_nm, "largest over the robots tried");
   m.def("_predict", [](const Robot& r, const In& in, const std::string& word) {
     const sup::PredictionModel model = value_of(kModels, "model", word);
     const std::string complaint = sup::validate_input(r.arm, in, model);

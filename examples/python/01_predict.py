@@ -5,5 +5,5 @@ import mrr
 
 robot = mrr.load_robot("mrr3")
 for shoulder in ("passive", "held"):
-    blow = mrr.predict(robot, q=[0, 0, 0], qd=[0, -0.62, 0], joints=["passive", shoulder, "passive"])
+    blow = mrr.predict(robot, q=[0, 0, 0], qd=[0, -0.62, 0], joints=["passive", shoulder, "passive"], model="instant")
     print(f"shoulder {shoulder:8} impulse {blow.impulse_n_s:.2f} N s, joints carry {abs(blow.blow_impulse_nm_s).round(3)} N m s")

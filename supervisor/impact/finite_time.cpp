@@ -198,6 +198,18 @@ Prediction finite_time_blow(const StrikeArm& arm, const PredictInput& in) noexce
   JointVector excess = JointVector::Zero(n);  // of the carried torque over the model's
   JointVector carried = weight;
   JointVector push(n);
+  // Rigid transmissions know no overshoot: what they carry is seen through each joint's spring as one mode of its own,
+  // the link on the motor: held by its loop where the joint is active, by its inertia where it is passive.
+  std::array<double, kMaxJoints> seen{}, seen_rate{}, frequency2{}, fade_1_s{};
+  const JointMatrix link_mobility = M.partialPivLu().inverse();
+  for (int i = 0; i < n; ++i) {
+    const JointDrive& d = arm.drive[at(i)];
+    const double motor_yields = in.joints[at(i)] == JointHold::free ? 1.0 / d.rotor_inertia_kg_m2 : 0.0;
+    const double yields = link_mobility(i, i) + motor_yields;
+    frequency2[at(i)] = d.stiffness_nm_rad[0] * yields;
+    fade_1_s[at(i)] = d.damping_nm_s_rad * yields;
+    seen[at(i)] = weight[i];
+  }
   std::array<double, kMaxJoints> sum{}, peak{};
   double nail = 0.0;  // driven in this blow
   double low_since = std::numeric_limits<double>::infinity();
@@ -295,6 +307,13 @@ Prediction finite_time_blow(const StrikeArm& arm, const PredictInput& in) noexce
     carried.noalias() = M.lazyProduct(accel) + weight;
     carried -= lever * force;
     for (int i = 0; i < n; ++i) excess[i] = carried[i] - weight[i] - s.a * M_line[i];
+    for (int i = 0; i < n; ++i) {
+      // Implicit: any stiffness will do.
+      const auto k = at(i);
+      seen_rate[k] = (seen_rate[k] + kStep_s * frequency2[k] * (carried[i] - seen[k])) /
+                     (1.0 + kStep_s * (fade_1_s[k] + kStep_s * frequency2[k]));
+      seen[k] += kStep_s * seen_rate[k];
+    }
     if (!touched && force > 0.0) {
       touched = true;
       began = t;
@@ -316,7 +335,7 @@ Prediction finite_time_blow(const StrikeArm& arm, const PredictInput& in) noexce
     out.peak_force_n = std::max(out.peak_force_n, force);
     for (int i = 0; i < n; ++i) {
       sum[at(i)] += kStep_s * carried[i];
-      peak[at(i)] = std::max(peak[at(i)], std::abs(carried[i]));
+      peak[at(i)] = std::max(peak[at(i)], std::abs(seen[at(i)]));
     }
     if (!(force < kBlowOverShare * out.peak_force_n)) {
       low_since = std::numeric_limits<double>::infinity();

@@ -77,6 +77,8 @@ Complaint first_complaint(const StrikeArm& arm, const PredictInput& in, Predicti
   if (model == PredictionModel::instant) return {};
   if (!within(in.switch_lead_s, 0.0, 0.5)) return {"switch_lead_s", in.switch_lead_s, "s must lie between 0 and 0.5"};
   if (!within(in.passive_s, 1e-3, 10.0)) return {"passive_s", in.passive_s, "s must lie between 0.001 and 10"};
+  if (!(in.robots >= 1 && in.robots <= 32))
+    return {"robots", static_cast<double>(in.robots), "must lie between 1 and 32"};
   if (!within(in.early_m, -0.05, 0.05)) return {"early_m", in.early_m, "m must lie within +-0.05"};
   const ReferenceProfile& r = in.reference;
   if (!within(r.travel_s, 1e-3, 100.0)) return {"reference.travel_s", r.travel_s, "s must lie between 0.001 and 100"};
@@ -202,21 +204,19 @@ std::string validate_input(const StrikeArm& arm, const PredictInput& input, Pred
 }
 
 Prediction predict(const StrikeArm& arm, const PredictInput& input, PredictionModel model) noexcept {
+  Prediction out;
   if (first_complaint(arm, input, model).field != nullptr) {
-    Prediction none;
-    none.delta_qd = none.axis_impulse_nm_s = none.blow_impulse_nm_s = none.carried_before_nm = none.peak_torque_nm =
+    out.delta_qd = out.axis_impulse_nm_s = out.blow_impulse_nm_s = out.carried_before_nm = out.peak_torque_nm =
         JointVector::Zero(arm.chain.dof());
-    return none;
+  } else if (model == PredictionModel::resolved) {
+    return resolve_blow(arm, input);
+  } else {
+    out = model == PredictionModel::finite_time ? finite_time_blow(arm, input) : instant_blow(arm, input);
   }
-  switch (model) {
-    case PredictionModel::instant:
-      break;
-    case PredictionModel::finite_time:
-      return finite_time_blow(arm, input);
-    case PredictionModel::resolved:
-      return resolve_blow(arm, input);
-  }
-  return instant_blow(arm, input);
+  out.impulse_low_n_s = out.impulse_high_n_s = out.impulse_n_s;
+  out.axis_impulse_low_nm_s = out.axis_impulse_high_nm_s = out.axis_impulse_nm_s;
+  out.peak_torque_low_nm = out.peak_torque_high_nm = out.peak_torque_nm;
+  return out;
 }
 
 }  // namespace mrr::sup

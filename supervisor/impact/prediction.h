@@ -106,6 +106,9 @@ struct PredictInput {
   double passive_s = 0.2;        ///< from the switch on, > 0: then passive joints come back
   /// Where the face is when the reference is at q, above the head along the normal, m: 0 as planned.
   double early_m = 0.0;
+  /// Resolved model only: so many robots of this description are struck with, the first exactly as described, the
+  /// others as far from it as robots are (kRobotsDiffer). The blow given is the one nearest the middle of all. 1 to 32.
+  int robots = 1;
   RotorModel rotor_model = RotorModel::sym;
   Formulation formulation = Formulation::corrected;  ///< of the instant model's internal impulses
   /// Instant model only: e, M* and t_s. NaN: from the contact law, struck with the effective mass.
@@ -113,6 +116,17 @@ struct PredictInput {
   double nail_mass_kg = std::numeric_limits<double>::infinity();
   double contact_s = std::numeric_limits<double>::quiet_NaN();
 };
+
+/// How far one robot and one nail are from their description, either way: shares, and m.
+struct RobotsDiffer {
+  double friction = 0.08;
+  double motor_torque = 0.02;
+  double spring = 0.05;
+  double link_mass = 0.01;
+  double nail_resistance = 0.05;
+  double nail_height_m = 5e-4;
+};
+inline constexpr RobotsDiffer kRobotsDiffer;
 
 /// When a blow is over: its force has been below this share of its peak for this long, as a force sensor with a
 /// threshold has it. An arm that then rests on the nail until it is called back is no longer the blow.
@@ -136,6 +150,11 @@ struct Prediction {
   JointVector blow_impulse_nm_s;  ///< the blow's part: less what carrying the arm's weight takes for so long
   JointVector carried_before_nm;  ///< torque as the contact begins, same sign
   JointVector peak_torque_nm;     ///< largest magnitude during contact
+  /// Smallest and largest over PredictInput::robots; with one robot the value itself.
+  double impulse_low_n_s = 0.0;
+  double impulse_high_n_s = 0.0;
+  JointVector axis_impulse_low_nm_s, axis_impulse_high_nm_s;
+  JointVector peak_torque_low_nm, peak_torque_high_nm;
   /// The blow's part in full: link i on link i-1, at the centre of joint i, base frame; its axis component is
   /// `blow_impulse_nm_s`.
   std::array<WrenchImpulse, kMaxJoints> wrench = [] {
@@ -149,8 +168,9 @@ struct Prediction {
 /// Allocates.
 [[nodiscard]] std::string validate_input(const StrikeArm& arm, const PredictInput& input, PredictionModel model);
 
-/// Unusable input gives `feasible == false`, never NaN.
-[[nodiscard]] Prediction predict(const StrikeArm& arm, const PredictInput& input, PredictionModel model) noexcept;
+/// Unusable input gives `feasible == false`, never NaN. The default model is the one measured best.
+[[nodiscard]] Prediction predict(const StrikeArm& arm, const PredictInput& input,
+                                 PredictionModel model = PredictionModel::resolved) noexcept;
 
 /// A mass against the contact law, pressed by a constant force: what the finite-time model takes the blow's shape from.
 struct LumpedBlow {

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <numbers>
 
+#include "common/core/random.h"
 #include "supervisor/impact/internal.h"
 #include "supervisor/impact/swing_policy.h"
 
@@ -16,6 +17,7 @@ constexpr double kRunIn_s = 0.012;  // before the switch, so that loops and spri
 constexpr double kEarliest_s = 0.1;
 constexpr double kLongestStep_s = 2.5e-4;
 constexpr double kStepPerPeriod = 0.35;  // step times the fastest frequency
+constexpr std::uint64_t kRobotsSeed = 77;
 constexpr double kMostStepsPerTick = 50.0;
 constexpr double kLongest_s = 0.6;  // after the planned contact
 // The firmware's own constants.
@@ -30,6 +32,7 @@ constexpr double kTrendStill_rad_s = 0.02;
 constexpr double kTrendMoving_rad_s = 0.05;
 // And the supervisor's.
 constexpr double kGapMargin_m = 5e-4;  // the switch is pulled when the gap is down to speed times lead and this
+constexpr double kTold_s = 2e-3;       // from the SYNC whose answers show that to the switch in force
 constexpr double kFelt_n = 6.0;        // force from which it takes the blow for begun
 constexpr double kGone_n = 2.4;        // ... and below which, twice in a row, for over
 constexpr double kShortest_s = 0.015;  // what ends sooner was no blow
@@ -79,11 +82,42 @@ struct Joint {
   double at_start = 0.0, sum = 0.0, peak = 0.0;  // of the contact
 };
 
+/// What one robot has otherwise than its description, and one nail than was learnt of it.
+struct Variation {
+  std::array<double, kMaxJoints> friction{}, motor{}, spring{};  // shares more than described
+  double mass = 0.0, resistance = 0.0;
+  double head_m = 0.0;  // higher than believed
+};
+
+/// Robot `number` of those of this description; 0 is as described.
+Variation robot_of(int number, int joints) noexcept {
+  Variation v;
+  if (number == 0) return v;
+  Random random(kRobotsSeed, static_cast<std::uint64_t>(number));
+  const auto within = [&](double most) { return random.uniform(-most, most); };
+  v.mass = within(kRobotsDiffer.link_mass);
+  v.resistance = within(kRobotsDiffer.nail_resistance);
+  v.head_m = within(kRobotsDiffer.nail_height_m);
+  for (int i = 0; i < joints; ++i) {
+    v.friction[at(i)] = within(kRobotsDiffer.friction);
+    v.motor[at(i)] = within(kRobotsDiffer.motor_torque);
+    v.spring[at(i)] = within(kRobotsDiffer.spring);
+  }
+  return v;
+}
+
 /// A blow from just before the switch until the face has left.
 class Blow {
  public:
-  Blow(const StrikeArm& arm, const PredictInput& input) noexcept
-      : arm_(arm), in_(input), n_(arm.chain.dof()), q_(input.q), v_(input.qd), lever_(input.q) {}
+  Blow(const StrikeArm& arm, const PredictInput& input, const Variation& robot) noexcept
+      : arm_(arm),
+        in_(input),
+        robot_(robot),
+        early_m_(input.early_m - robot.head_m),
+        n_(arm.chain.dof()),
+        q_(input.q),
+        v_(input.qd),
+        lever_(input.q) {}
   Prediction run() noexcept;
 
  private:
@@ -111,6 +145,8 @@ class Blow {
 
   const StrikeArm& arm_;
   const PredictInput& in_;
+  const Variation& robot_;
+  double early_m_;  // where the face is when the reference is at q, above the head
   int n_;
   JointVector q_, v_, accel_;  // links
   std::array<Joint, kMaxJoints> joint_{};
@@ -142,7 +178,6 @@ class Blow {
   double return_from_s_ = 0.0, return_s_ = 1.0;
   JointVector return_q_, return_way_;
   double switch_s_ = 0.0;  // when passive joints are let go
-  bool in_window_ = false;
   // As the supervisor feels the blow.
   double felt_n_s_ = 0.0;
   double felt_since_s_ = 0.0;
@@ -185,8 +220,8 @@ void Blow::new_pose() noexcept {
   for (int i = 0; i < n_; ++i) {
     lever_[i] = in_.normal.dot(pose.axis[at(i)].cross(point - pose.link[at(i)].position_m));
   }
-  inverse_ = arm_.chain.mass_matrix(pose).llt().solve(JointMatrix::Identity(n_, n_));
-  bias_ = arm_.chain.inverse_dynamics(pose, v_, JointVector::Zero(n_));
+  inverse_ = arm_.chain.mass_matrix(pose).llt().solve(JointMatrix::Identity(n_, n_)) / (1.0 + robot_.mass);
+  bias_ = (1.0 + robot_.mass) * arm_.chain.inverse_dynamics(pose, v_, JointVector::Zero(n_));
 }
 
 /// The model's torque that comes with the knots.
@@ -207,7 +242,7 @@ void Blow::expect(double t) noexcept {
 
 /// In steady motion along the reference.
 void Blow::start(double t) noexcept {
-  head_m_ = arm_.chain.face_pose(in_.q).position_m - in_.early_m * in_.normal;
+  head_m_ = arm_.chain.face_pose(in_.q).position_m - early_m_ * in_.normal;
   const ReferenceProfile::Point s = in_.reference.at(t);
   q_ = in_.q + in_.qd * s.s;
   v_ = in_.qd * s.v;
@@ -266,14 +301,14 @@ void Blow::resume(double t) noexcept {
 
 /// The switch is armed for the planned instant; the face seen nearer pulls it.
 void Blow::decide_switch(double t) noexcept {
-  if (in_window_ && switch_s_ - t > kPullMargin.seconds()) switch_s_ = t;
-  double gap = pose_gap_ - in_.early_m;  // by the motors, to where the head is believed to be
+  double gap = pose_gap_ - early_m_;  // by the motors, to where the head is believed to be
   double speed = 0.0;
   for (int i = 0; i < n_; ++i) {
     gap += lever_[i] * (joint_[at(i)].motor_q - pose_q_[i]);
     speed -= lever_[i] * joint_[at(i)].motor_v;
   }
-  in_window_ = in_window_ || (gap >= 0.0 && gap <= speed * arm_.lead_s + kGapMargin_m);
+  const bool seen = gap >= 0.0 && gap <= speed * arm_.lead_s + kGapMargin_m;
+  if (seen && switch_s_ - t > kTold_s + kPullMargin.seconds()) switch_s_ = t + kTold_s;
 }
 
 /// Once per knot: what the supervisor makes of the blow.
@@ -461,7 +496,8 @@ void Blow::touch() noexcept {
   const double speed = -lever_.dot(v_);
   const double elastic = law.face_stiffness_n_m * depth;
   force_ = std::max(0.0, elastic * (1.0 + law.face_damping_s_m * speed));
-  const double resistance = law.nail_resistance_n - law.nail_resistance_slope_n_m * head_height_;
+  const double resistance =
+      (1.0 + robot_.resistance) * (law.nail_resistance_n - law.nail_resistance_slope_n_m * head_height_);
   if (force_ > resistance && -head_height_ < law.nail_room_m) {
     // The nail yields: F = k d (1 + c (v - u)) with u = (F - R)/c_v.
     const double share = elastic * law.face_damping_s_m / law.nail_damping_n_s_m;
@@ -477,7 +513,8 @@ void Blow::step() noexcept {
   for (int i = 0; i < n_; ++i) {
     const JointDrive& d = arm_.drive[at(i)];
     Joint& j = joint_[at(i)];
-    j.carried = spring_torque(d, j.motor_q - q_[i]) + d.damping_nm_s_rad * (j.motor_v - v_[i]);
+    j.carried =
+        (1.0 + robot_.spring[at(i)]) * spring_torque(d, j.motor_q - q_[i]) + d.damping_nm_s_rad * (j.motor_v - v_[i]);
     push[i] = j.carried - bias_[i] + lever_[i] * force_;
     j.torque = j.command + (j.torque - j.command) * current_keep_[at(i)];
     j.sensed = j.carried + (j.sensed - j.carried) * sensor_keep_[at(i)];
@@ -496,7 +533,8 @@ void Blow::step() noexcept {
       friction += stiffness * j.bristle + damping * (j.bristle - before) / h_;
     }
     if (in_.joints[at(i)] == JointHold::held) continue;
-    j.motor_v += h_ * (j.torque - friction - j.carried) / d.rotor_inertia_kg_m2;
+    j.motor_v += h_ * ((1.0 + robot_.motor[at(i)]) * j.torque - (1.0 + robot_.friction[at(i)]) * friction - j.carried) /
+                 d.rotor_inertia_kg_m2;
     j.motor_q += h_ * j.motor_v;
   }
   accel_.noalias() = inverse_.lazyProduct(push);
@@ -614,6 +652,61 @@ Prediction Blow::run() noexcept {
 
 }  // namespace
 
-Prediction resolve_blow(const StrikeArm& arm, const PredictInput& input) noexcept { return Blow(arm, input).run(); }
+Prediction resolve_blow(const StrikeArm& arm, const PredictInput& input) noexcept {
+  constexpr int kMost = 32;  // validate_input()
+  const int n = arm.chain.dof();
+  Prediction out = Blow(arm, input, {}).run();
+  out.impulse_low_n_s = out.impulse_high_n_s = out.impulse_n_s;
+  out.axis_impulse_low_nm_s = out.axis_impulse_high_nm_s = out.axis_impulse_nm_s;
+  out.peak_torque_low_nm = out.peak_torque_high_nm = out.peak_torque_nm;
+  const int robots = std::min(input.robots, kMost);
+  if (robots <= 1 || !out.feasible) return out;
+
+  // What tells blows apart: the nail's impulse, the joints' impulses and peaks.
+  constexpr std::size_t kFigures = 1 + 2 * kMaxJoints;
+  std::array<std::array<double, kFigures>, kMost> blows{};
+  const auto figures = static_cast<std::size_t>(1 + 2 * n);
+  const auto note = [&](int robot, const Prediction& p) {
+    auto& blow = blows[at(robot)];
+    blow[0] = p.impulse_n_s;
+    for (int i = 0; i < n; ++i) {
+      blow[at(1 + 2 * i)] = p.axis_impulse_nm_s[i];
+      blow[at(2 + 2 * i)] = p.peak_torque_nm[i];
+    }
+  };
+  note(0, out);
+  for (int robot = 1; robot < robots; ++robot) {
+    const Prediction p = Blow(arm, input, robot_of(robot, n)).run();
+    if (!p.feasible) return p;
+    note(robot, p);
+    out.impulse_low_n_s = std::min(out.impulse_low_n_s, p.impulse_n_s);
+    out.impulse_high_n_s = std::max(out.impulse_high_n_s, p.impulse_n_s);
+    out.axis_impulse_low_nm_s = out.axis_impulse_low_nm_s.cwiseMin(p.axis_impulse_nm_s);
+    out.axis_impulse_high_nm_s = out.axis_impulse_high_nm_s.cwiseMax(p.axis_impulse_nm_s);
+    out.peak_torque_low_nm = out.peak_torque_low_nm.cwiseMin(p.peak_torque_nm);
+    out.peak_torque_high_nm = out.peak_torque_high_nm.cwiseMax(p.peak_torque_nm);
+  }
+  // The blow with the least sum of distances from the medians, each measured by how far the blows are from it.
+  std::array<double, kMost> away{};
+  for (std::size_t f = 0; f < figures; ++f) {
+    std::array<double, kMost> sorted{};
+    for (int r = 0; r < robots; ++r) sorted[at(r)] = blows[at(r)][f];
+    std::sort(sorted.begin(), sorted.begin() + robots);
+    const double median = 0.5 * (sorted[at((robots - 1) / 2)] + sorted[at(robots / 2)]);
+    double spread = 0.05 * std::abs(median) * robots;  // who agrees this well need not be told apart
+    for (int r = 0; r < robots; ++r) spread += std::abs(blows[at(r)][f] - median);
+    for (int r = 0; r < robots && spread > 0.0; ++r) away[at(r)] += std::abs(blows[at(r)][f] - median) / spread;
+  }
+  const auto nearest = static_cast<int>(std::min_element(away.begin(), away.begin() + robots) - away.begin());
+  if (nearest == 0) return out;
+  Prediction middle = Blow(arm, input, robot_of(nearest, n)).run();
+  middle.impulse_low_n_s = out.impulse_low_n_s;
+  middle.impulse_high_n_s = out.impulse_high_n_s;
+  middle.axis_impulse_low_nm_s = out.axis_impulse_low_nm_s;
+  middle.axis_impulse_high_nm_s = out.axis_impulse_high_nm_s;
+  middle.peak_torque_low_nm = out.peak_torque_low_nm;
+  middle.peak_torque_high_nm = out.peak_torque_high_nm;
+  return middle;
+}
 
 }  // namespace mrr::sup

@@ -106,7 +106,7 @@ std::vector<RankedSelection> rank_selections(const SelectionContest& contest, st
       search.visit(one);
       search.visit(contest.candidates ^ one);
     }
-    search.spread(2 * most);
+    search.spread(3 * most);
   }
   std::sort(ranked.begin(), ranked.end(), lighter);
   const auto shortlist = ranked.begin() + static_cast<std::ptrdiff_t>(std::min(most, ranked.size()));

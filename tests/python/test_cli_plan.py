@@ -62,6 +62,12 @@ def test_predict_compares_three_models_on_a_board(mrr):
     models = json.loads(mrr("predict", "--board", "styrofoam", "--json"))["models"]
     assert [m["model"] for m in models] == ["instant", "finite time", "resolved"]
     assert all(m["feasible"] and m["impulse_n_s"] > 0.1 for m in models)
+    resolved = models[2]
+    assert "robots of this description" in text
+    assert resolved["impulse_low_n_s"] <= resolved["impulse_n_s"] <= resolved["impulse_high_n_s"]
+    assert resolved["impulse_low_n_s"] < resolved["impulse_high_n_s"]
+    one = json.loads(mrr("predict", "--board", "styrofoam", "--robots", "1", "--json"))["models"][2]
+    assert one["impulse_low_n_s"] == one["impulse_n_s"] == one["impulse_high_n_s"]
 
 
 @pytest.mark.parametrize("measure", MEASURES)
@@ -95,6 +101,7 @@ def test_map_draws_a_picture(mrr, tmp_path, suffix):
     (["predict", "--q", "0,0,0", "--qd", "0,1e6,0"], ["qd", "rad/s"]),
     (["predict", "--model", "resolved"], ["--board"]),
     (["predict", "--board", "jelly"], ["jelly"]),
+    (["predict", "--board", "styrofoam", "--robots", "99"], ["--robots", "99", "32"]),
     (["map", "--measure", "beauty"], ["beauty", "load_ratio"]),
     (["map", "--picture", "map.gif", "--columns", "4", "--rows", "4"], ["map.gif", ".png"]),
     (["map", "--columns", "1"], ["--columns"]),

@@ -46,7 +46,8 @@ def test_free_blow_is_pinocchios(mrr, robot, source_dir):
         constraint = J[2:3]
         if constraint @ qd > 0:
             qd = -qd
-        blow = mrr.predict(robot, q=q, qd=qd, joints=["passive"] * robot.dof, rotor_model="diag", restitution=0.4)
+        blow = mrr.predict(robot, q=q, qd=qd, joints=["passive"] * robot.dof, rotor_model="diag", restitution=0.4,
+                           model="instant")
         after = pin.impulseDynamics(model, data, q, qd, constraint, 0.4, 0.0)
         np.testing.assert_allclose(blow.delta_qd, after - qd, atol=1e-9)
         np.testing.assert_allclose(blow.blow_impulse_nm_s, model.armature * blow.delta_qd, atol=1e-9)
@@ -65,6 +66,16 @@ def test_every_model_predicts_a_planned_blow(mrr, robot):
     # A blow of an instant has no weight pressing on the nail while the contact lasts.
     assert 0.5 < made[0].impulse_n_s < min(made[1].impulse_n_s, made[2].impulse_n_s)
     assert all(0.0 < p.penetration_m <= wood.nail_room_m for p in made[1:])
+    # The default is the model measured best.
+    assert mrr.predict(robot, blow).impulse_n_s == made[2].impulse_n_s
+    # Several robots of the description: a range with the blow in it.
+    several = mrr.predict(robot, blow, robots=5)
+    assert several.impulse_low_n_s < several.impulse_high_n_s
+    assert several.impulse_low_n_s <= several.impulse_n_s <= several.impulse_high_n_s
+    for name in ("axis_impulse", "peak_torque"):
+        unit = {"axis_impulse": "nm_s", "peak_torque": "nm"}[name]
+        low, value, high = (getattr(several, f"{name}{word}_{unit}") for word in ("_low", "", "_high"))
+        assert (low <= value).all() and (value <= high).all() and (low < high).any()
 
 
 def test_plan_reaches_the_head_and_explains_itself(mrr, robot):

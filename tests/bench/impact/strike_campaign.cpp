@@ -25,9 +25,13 @@ namespace {
 using namespace mrr;  // NOLINT: a program of its own
 
 constexpr std::array kBoards{"hardwood", "styrofoam"};
-constexpr double kLeastShare = 0.2;        // of the largest contact's impulse: less is a graze before the blow
+constexpr int kRobots = 9;           // tried by the model "several"
+constexpr double kLeastShare = 0.2;  // of the largest contact's impulse: less is a graze before the blow
+constexpr std::uint64_t kWorldApart = 1'000'000;
 constexpr double kLeastLever_m = 0.02;     // a joint with less is not moved by a blow
 constexpr std::size_t kTruthPerJoint = 3;  // impulse, peak, before
+
+std::uint64_t other_world = 0;
 
 struct Strike {
   int number = 0;
@@ -47,7 +51,7 @@ std::optional<Strike> draw(const RobotDescription& robot, int number, bool nomin
   Random random(static_cast<std::uint64_t>(number) + 1, 77);
   Strike s;
   s.number = number;
-  s.seed = nominal ? 0 : static_cast<std::uint64_t>(number) + 1;
+  s.seed = nominal ? 0 : static_cast<std::uint64_t>(number) + 1 + kWorldApart * other_world;
   s.robot = robot;
   s.board = kBoards[static_cast<std::size_t>(number) % kBoards.size()];
   s.plant = sim::load_plant(robot, std::filesystem::path(MRR_SOURCE_DIR) / "robots" / "boards" / (s.board + ".yaml"));
@@ -261,7 +265,8 @@ class Archive {
   }
   Truth get(const std::string& robot, const Strike& s) {
     std::string key =
-        fmt::format("{} {} {:.12g} {}", robot, s.seed == 0 ? -s.number : s.number, s.plan.speed_m_s, s.plan.passive);
+        fmt::format("{} {} {:.12g} {}", robot, s.seed == 0 ? -1 - s.number : static_cast<std::int64_t>(s.seed),
+                    s.plan.speed_m_s, s.plan.passive);
     for (const double x : s.plan.q_impact) key += fmt::format(" {:.10g}", x);
     if (const auto it = kept_.find(key); it != kept_.end()) return it->second;
     const Truth t = simulate(s);
@@ -323,6 +328,9 @@ std::vector<Model> predict_all(const sup::StrikeArm& arm, const Strike& s) {
   models.push_back({"instant", sup::predict(arm, law, PredictionModel::instant)});
   models.push_back({"finite", sup::predict(arm, law, PredictionModel::finite_time)});
   models.push_back({"resolved", sup::predict(arm, law, PredictionModel::resolved)});
+  sup::PredictInput several = law;
+  several.robots = kRobots;
+  models.push_back({"several", sup::predict(arm, several, PredictionModel::resolved)});
   return models;
 }
 
@@ -335,6 +343,10 @@ int main(int argc, char** argv) {
   std::string out_path = "strikes.csv";
   std::string archive_path;
   app.add_option("--strikes", strikes, "how many that count")->capture_default_str();
+  int first = 0;
+  app.add_option("--first", first, "number of the first strike drawn: those published are not those tuned on")
+      ->capture_default_str();
+  app.add_option("--world", other_world, "each strike with another robot and nail of the same descriptions");
   app.add_option("--robot", robot_name, "folder under robots/")->capture_default_str();
   app.add_option("--out", out_path, "CSV to write")->capture_default_str();
   app.add_option("--archive", archive_path, "keeps emulated strikes from run to run");
@@ -359,7 +371,7 @@ int main(int argc, char** argv) {
   bool header = false;
   int counted = 0;
   std::map<std::string, int> others;
-  int number = 0;
+  int number = first;
   // The sets of passive joints that a strike is made with; none: as drawn.
   const auto selections_of = [&](int strike) {
     std::vector<std::optional<std::uint32_t>> sets;
@@ -396,6 +408,7 @@ int main(int argc, char** argv) {
                  "penetration,speed,lateral,early_s,height,follow,stop_s,weight,true_impulse,true_peak,true_before");
       for (const Model& m : models) {
         fmt::print(out, ",{0}_P,{0}_t,{0}_start,{0}_pen,{0}_impulse,{0}_blow,{0}_peak,{0}_before", m.name);
+        fmt::print(out, ",{0}_low,{0}_high,{0}_peak_low,{0}_peak_high", m.name);
       }
       fmt::print(out, "\n");
     }
@@ -418,6 +431,8 @@ int main(int argc, char** argv) {
         fmt::print(out, ",{:.5f},{:.5f},{:.5f},{:.5f},{:.6f},{:.6f},{:.5f},{:.5f}", p.impulse_n_s, p.contact_s,
                    p.start_s, p.penetration_m, p.axis_impulse_nm_s[i], p.blow_impulse_nm_s[i], p.peak_torque_nm[i],
                    p.carried_before_nm[i]);
+        fmt::print(out, ",{:.6f},{:.6f},{:.5f},{:.5f}", p.axis_impulse_low_nm_s[i], p.axis_impulse_high_nm_s[i],
+                   p.peak_torque_low_nm[i], p.peak_torque_high_nm[i]);
       }
       fmt::print(out, "\n");
     }
@@ -425,7 +440,7 @@ int main(int argc, char** argv) {
   for (; counted < strikes; ++number) {
     for (const auto& selection : selections_of(number)) enter(selection);
   }
-  fmt::print("{} strikes of {} drawn", counted, number);
+  fmt::print("{} strikes of {} drawn", counted, number - first);
   for (const auto& [why, count] : others) fmt::print("; {}: {}", why, count);
   fmt::print("\n");
   // What the resolved model costs, here and now.

@@ -1,7 +1,10 @@
 #!/usr/bin/env python3
 """Tables and picture of docs/impulse_prediction.md from the CSV of strike_campaign.
 
-    strike_table.py CSV... [--picture FILE.svg] [--models NAME,...]
+    strike_table.py CSV... [--picture FILE.svg] [--models NAME,...] [--twin CSV]
+
+--twin: the same strikes emulated with other robots of the same description (strike_campaign --world 1), as one more model:
+what somebody knows who knows everything but this very robot.
 
 The error of a prediction is relative to the larger of the true value and a floor: a share of what the joint's rated
 torque amounts to (impulse: times the contact time). Without a floor a joint that carries nothing would count as wrong
@@ -12,7 +15,7 @@ import csv
 import math
 
 FLOOR = 0.25  # of the rated torque
-MODELS = "printed free assumed free_law instant finite resolved".split()
+MODELS = "printed free assumed free_law instant finite resolved several".split()
 
 
 def load(paths):
@@ -22,6 +25,21 @@ def load(paths):
             for row in csv.DictReader(file):
                 rows.append({k: v if k in ("board", "robot") else float(v) for k, v in row.items()})
     return rows
+
+
+def add_twins(rows, path):
+    """Gives each row what happened to another robot; rows without one are left out."""
+    others = {(r["robot"], r["strike"], r["joint"]): r for r in load([path])}
+    kept = []
+    for row in rows:
+        other = others.get((row["robot"], row["strike"], row["joint"]))
+        if other is None:
+            continue
+        row["twin_P"], row["twin_t"], row["twin_before"] = other["impulse"], other["contact_s"], other["true_before"]
+        row["twin_impulse"], row["twin_peak"] = other["true_impulse"], other["true_peak"]
+        row["twin_blow"] = other["true_impulse"] - other["weight"] * other["contact_s"]
+        kept.append(row)
+    return kept
 
 
 def quantile(values, share):
@@ -100,6 +118,9 @@ def classes(rows, model):
         ("true value below the floor (impulse)",
          lambda r: abs(r["true_impulse"]) < FLOOR * r["rated"] * r["contact_s"]),
     ]
+    if f"{model}_low" in rows[0]:
+        yield from covered(rows, model)
+        yield ""
     worst = sorted(rows, key=lambda r: -error(r, model, "impulse"))[:len(rows) // 20]
     yield f"| strikes, {model} | impulse | blow | peak | share of the worst 5 % (impulse) |"
     yield "| --- | --- | --- | --- | --- |"
@@ -110,6 +131,16 @@ def classes(rows, model):
         yield f"| {name} ({len(group)}) | " + " | ".join(cells) + f" | {share:.0%} |"
 
 
+def covered(rows, model):
+    """How often the truth is between a model's smallest and largest."""
+    for what, low, high in (("impulse", f"{model}_low", f"{model}_high"), ("peak", f"{model}_peak_low", f"{model}_peak_high")):
+        floor = {"impulse": lambda r: FLOOR * r["rated"] * r["contact_s"], "peak": lambda r: FLOOR * r["rated"]}[what]
+        true = [r[f"true_{what}"] for r in rows]
+        inside = sum(r[low] <= t <= r[high] for r, t in zip(rows, true)) / len(rows)
+        width = cell([(r[high] - r[low]) / max(abs(t), floor(r)) for r, t in zip(rows, true)])
+        yield f"{model}, {what}: {inside:.0%} of the true values within the range; its width {width} %"
+
+
 def choices(rows, models):
     """What each model's choice of passive joints costs in truth: rows of strike_campaign --every-selection."""
     strikes = {}
@@ -117,7 +148,7 @@ def choices(rows, models):
         blow = strikes.setdefault((r["robot"], r["strike"]), {}).setdefault(r["mask"], {"true": 0.0})
         blow["true"] = max(blow["true"], r["true_peak"] / r["rated"] / r["impulse"])
         for m in models:
-            load = r[f"{m}_peak"] if m in ("finite", "resolved") else abs(r[f"{m}_blow"])
+            load = r[f"{m}_peak"] if m in ("finite", "resolved", "several") else abs(r[f"{m}_blow"])
             P = r[f"{m}_P"]
             blow[m] = max(blow.get(m, 0.0), load / r["rated"] / P if P > 0 else math.inf)
     strikes = [s for s in strikes.values() if len(s) > 1]
@@ -141,7 +172,7 @@ def choices(rows, models):
 def picture(rows, models, path):
     """Cumulative distributions of the errors as SVG."""
     width, height, left, top = 360, 260, 50, 24
-    colours = ["#999", "#c60", "#e90", "#7a7", "#09c", "#639", "#000"]
+    colours = ["#999", "#c60", "#e90", "#7a7", "#09c", "#639", "#000", "#c06", "#aaa"]
     parts = []
     for k, what in enumerate(("impulse", "peak")):
         x0 = left + k * (width + 70)
@@ -166,7 +197,7 @@ def picture(rows, models, path):
                          f'stroke="{colours[m % len(colours)]}" stroke-width="1.6"/>')
     for m, model in enumerate(models):
         y = top + height + 38
-        x = left + 110 * m
+        x = left + 92 * m
         parts.append(f'<line x1="{x}" y1="{y - 4}" x2="{x + 18}" y2="{y - 4}" stroke="{colours[m % len(colours)]}" '
                      f'stroke-width="2"/><text x="{x + 22}" y="{y}">{model}</text>')
     with open(path, "w") as file:
@@ -181,18 +212,22 @@ def main():
     parser.add_argument("csv", nargs="+")
     parser.add_argument("--picture")
     parser.add_argument("--choices", action="store_true", help="what each model's choice of passive joints costs")
+    parser.add_argument("--twin", help="CSV of the same strikes with other robots")
     parser.add_argument("--floor", type=float, default=FLOOR, help="share of the rated torque (default %(default)s)")
     parser.add_argument("--models", default=",".join(MODELS))
     options = parser.parse_args()
     FLOOR = options.floor
     models = options.models.split(",")
     rows = load(options.csv)
+    if options.twin:
+        rows = add_twins(rows, options.twin)
+        models.append("twin")
     print(f"Median / 95th percentile of |error|, %. Floor {FLOOR:.0%} of rated.\n")
     if options.choices:
         print("\n".join(choices(rows, models)))
         return
     print("\n".join(table(rows, models)))
-    for model in models[-1:]:
+    for model in [m for m in models if m in ("resolved", "several")]:
         print()
         print("\n".join(classes(rows, model)))
     if options.picture:

@@ -5,6 +5,8 @@
 
 #include <cmath>
 #include <limits>
+#include <numbers>
+#include <string>
 
 #include "supervisor/impact/external.h"
 #include "tests/unit/model/arms.h"
@@ -187,6 +189,157 @@ TEST(Prediction, ResolvedNailGivesWayAsFarAsThereIsRoom) {
   EXPECT_NEAR(flush.penetration_m, 0.003, 1e-9);
   EXPECT_EQ(stands.penetration_m, 0.0);
   EXPECT_GT(stands.peak_force_n, far.peak_force_n);
+}
+
+/// Right or refused, by every model: a joint frozen, nothing negative, ranges in order.
+void expect_sound(const StrikeArm& arm, const PredictInput& in, const char* what) {
+  for (const PredictionModel model : kModels) {
+    const bool usable = validate_input(arm, in, model).empty();
+    const Prediction p = predict(arm, in, model);
+    SCOPED_TRACE(std::string(what) + ", " + describe(model));
+    expect_finite(p);
+    EXPECT_TRUE(usable || !p.feasible);
+    EXPECT_GE(p.impulse_n_s, 0.0);
+    EXPECT_GE(p.peak_torque_nm.minCoeff(), 0.0);
+    EXPECT_LE(p.impulse_low_n_s, p.impulse_n_s);
+    EXPECT_GE(p.impulse_high_n_s, p.impulse_n_s);
+    for (int i = 0; i < arm.chain.dof(); ++i) {
+      if (in.joints[static_cast<std::size_t>(i)] == JointHold::held && model == PredictionModel::instant) {
+        EXPECT_NEAR(p.delta_qd[i], 0.0, 1e-12);
+      }
+    }
+  }
+}
+
+TEST(Prediction, DegenerateBlowsGiveRightOrRefusedAnswers) {
+  const StrikeArm arm(reference_arm());
+  for (const JointHold hold : {JointHold::free, JointHold::controlled, JointHold::held}) {
+    PredictInput in = home_blow();
+    in.joints.fill(hold);
+    // Stretched out and folded up: singular. Along the stretched arm no joint moves the face.
+    for (const double elbow : {0.0, std::numbers::pi}) {
+      in.q << 0.0, 0.0, elbow;
+      in.normal = Eigen::Vector3d::UnitZ();
+      expect_sound(arm, in, "singular pose");
+      in.normal = -Eigen::Vector3d::UnitX();
+      expect_sound(arm, in, "singular pose, struck along the arm");
+    }
+    // A normal to which every joint is orthogonal: the base's axis is upright, the others swing in one plane.
+    in = home_blow();
+    in.joints.fill(hold);
+    in.normal = Eigen::Vector3d::UnitY();
+    in.qd << 0.0, -0.62, 0.3;
+    expect_sound(arm, in, "beside the plane of the swing");
+    EXPECT_EQ(predict(arm, in, PredictionModel::resolved).impulse_n_s, 0.0);
+    in = home_blow();
+    in.joints.fill(hold);
+    in.qd.setZero();
+    expect_sound(arm, in, "at rest");
+    for (const double e : {0.0, 1.0}) {
+      for (const double mass : {kInfinity, 5.0, 1e-9, 0.0}) {
+        in = home_blow();
+        in.joints.fill(hold);
+        in.restitution = e;
+        in.nail_mass_kg = mass;
+        in.contact_s = 0.05;
+        expect_sound(arm, in, "e and M*");
+        const Prediction p = predict(arm, in, PredictionModel::instant);
+        if (!(mass > 0.0)) {
+          EXPECT_FALSE(p.feasible);
+        } else if (hold == JointHold::held && !std::isfinite(mass)) {
+          EXPECT_FALSE(p.feasible);  // nothing yields
+        } else {
+          ASSERT_TRUE(p.feasible) << e << ", " << mass;
+          // The nail of mass M* starts at P / M*: the speeds part at e times the approach.
+          const double nail_speed = std::isfinite(mass) ? p.impulse_n_s / mass : 0.0;
+          EXPECT_NEAR(nail_speed - p.speed_after_m_s, e * p.speed_before_m_s, 1e-9);
+        }
+      }
+    }
+  }
+}
+
+TEST(Prediction, OneJointIsAnArm) {
+  RobotDescription robot = reference_arm();
+  Random random(3);
+  RobotDescription one = test::random_robot(random, 1);
+  one.joints[0].control = robot.joints[1].control;
+  one.joints[0].limits = robot.joints[1].limits;
+  one.joints[0].motor = robot.joints[1].motor;
+  one.joints[0].transmission = robot.joints[1].transmission;
+  one.joints[0].friction = robot.joints[1].friction;
+  one.joints[0].sensors = robot.joints[1].sensors;
+  one.bus = robot.bus;
+  one.hammer.face_radius_m = 0.012;
+  const StrikeArm arm(one);
+  PredictInput in;
+  in.q = JointVector::Zero(1);
+  in.qd = JointVector::Constant(1, 0.5);
+  in.normal = -(arm.chain.jacobian(in.q).topRows<3>() * in.qd).normalized();
+  for (const JointHold hold : {JointHold::free, JointHold::controlled, JointHold::held}) {
+    in.joints.fill(hold);
+    expect_sound(arm, in, "one joint");
+  }
+  in.joints.fill(JointHold::free);
+  in.restitution = 1.0;
+  in.contact_s = 0.05;
+  const Prediction p = predict(arm, in, PredictionModel::instant);
+  ASSERT_TRUE(p.feasible && p.approaching);
+  EXPECT_NEAR(p.delta_qd[0], -2.0 * in.qd[0], 1e-9);  // it comes back as fast as it went
+  // Struck along its own axis it does not move at all.
+  in.normal = arm.chain.pose(in.q).axis[0];
+  expect_sound(arm, in, "one joint along its axis");
+}
+
+TEST(Prediction, RotorWithoutInertiaIsRightOrRefusedByEveryModel) {
+  RobotDescription robot = reference_arm();
+  for (JointDescription& j : robot.joints) j.motor.rotor_inertia_kg_m2 = 0.0;
+  const StrikeArm arm(robot);
+  for (const JointHold hold : {JointHold::free, JointHold::controlled, JointHold::held}) {
+    PredictInput in = home_blow();
+    in.joints.fill(hold);
+    expect_sound(arm, in, "no rotors");
+    EXPECT_FALSE(predict(arm, in, PredictionModel::finite_time).feasible);
+    EXPECT_FALSE(predict(arm, in, PredictionModel::resolved).feasible);
+  }
+  PredictInput in = home_blow();
+  in.joints.fill(JointHold::free);
+  in.restitution = 0.5;
+  const Prediction p = predict(arm, in, PredictionModel::instant);
+  ASSERT_TRUE(p.feasible);
+  EXPECT_LT(p.blow_impulse_nm_s.cwiseAbs().maxCoeff(), 1e-9);  // nothing behind the gears: they carry nothing
+}
+
+TEST(Prediction, SeveralRobotsGiveARangeAroundTheirMiddle) {
+  const StrikeArm arm(reference_arm());
+  PredictInput in = home_blow();
+  in.joints[2] = JointHold::free;
+  const Prediction one = predict(arm, in);
+  EXPECT_EQ(one.impulse_low_n_s, one.impulse_n_s);
+  EXPECT_EQ(one.impulse_high_n_s, one.impulse_n_s);
+  double width = 0.0;
+  for (const int robots : {2, 5, 9, 32}) {
+    in.robots = robots;
+    const Prediction p = predict(arm, in);
+    ASSERT_TRUE(p.feasible && p.approaching);
+    EXPECT_LE(p.impulse_low_n_s, std::min(p.impulse_n_s, one.impulse_n_s));
+    EXPECT_GE(p.impulse_high_n_s, std::max(p.impulse_n_s, one.impulse_n_s));
+    for (int i = 0; i < 3; ++i) {
+      EXPECT_LE(p.axis_impulse_low_nm_s[i], p.axis_impulse_nm_s[i]);
+      EXPECT_GE(p.axis_impulse_high_nm_s[i], p.axis_impulse_nm_s[i]);
+      EXPECT_LE(p.peak_torque_low_nm[i], p.peak_torque_nm[i]);
+      EXPECT_GE(p.peak_torque_high_nm[i], p.peak_torque_nm[i]);
+    }
+    EXPECT_GE(p.impulse_high_n_s - p.impulse_low_n_s, width);  // more robots, the first of them the same
+    width = p.impulse_high_n_s - p.impulse_low_n_s;
+    EXPECT_EQ(predict(arm, in).impulse_n_s, p.impulse_n_s);  // the same robots every time
+  }
+  EXPECT_GT(width, 0.0);
+  for (const int robots : {0, -1, 33}) {
+    in.robots = robots;
+    EXPECT_NE(validate_input(arm, in, PredictionModel::resolved).find("robots"), std::string::npos);
+    EXPECT_FALSE(predict(arm, in).feasible);
+  }
 }
 
 TEST(Prediction, RandomArmsGiveFiniteOrRefusedAnswers) {
