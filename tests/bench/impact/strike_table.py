@@ -118,7 +118,7 @@ def classes(rows, model):
         ("true value below the floor (impulse)",
          lambda r: abs(r["true_impulse"]) < FLOOR * r["rated"] * r["contact_s"]),
     ]
-    if f"{model}_low" in rows[0]:
+    if any(r[f"{model}_low"] < r[f"{model}_high"] for r in rows):
         yield from covered(rows, model)
         yield ""
     worst = sorted(rows, key=lambda r: -error(r, model, "impulse"))[:len(rows) // 20]
@@ -172,7 +172,7 @@ def choices(rows, models):
 def picture(rows, models, path):
     """Cumulative distributions of the errors as SVG."""
     width, height, left, top = 360, 260, 50, 24
-    colours = ["#999", "#c60", "#e90", "#7a7", "#09c", "#639", "#000", "#c06", "#aaa"]
+    colours = ["#999", "#c60", "#e90", "#7a7", "#09c", "#639", "#000", "#c06", "#0a0"]
     parts = []
     for k, what in enumerate(("impulse", "peak")):
         x0 = left + k * (width + 70)
