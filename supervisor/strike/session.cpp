@@ -248,10 +248,10 @@ void HammerSession::learn() {
   } else {
     misses_in_a_row_ = 0;
     still_in_a_row_ = moved_m > 0.0 ? 0 : still_in_a_row_ + 1;
-    if (still_in_a_row_ >= task.still_swings && head_height_m_ <= task.still_tolerance_m) {
-      finish(Verdict::flush, fmt::format("the head is flush as far as the joints can tell ({:.1f} mm): {} swings in a "
-                                         "row moved it no further",
-                                         task.still_tolerance_m * 1e3, still_in_a_row_));
+    if (still_in_a_row_ >= task.still_swings && head_height_m_ - kTellsApart * head_sd_m_ <= task.flush_tolerance_m) {
+      finish(Verdict::flush, fmt::format("the head is flush as far as the joints can tell ({:.1f} mm +- {:.1f} mm): {} "
+                                         "swings in a row moved it no further",
+                                         head_height_m_ * 1e3, head_sd_m_ * 1e3, still_in_a_row_));
     } else if (still_in_a_row_ >= task.still_swings) {
       finish(Verdict::nothing_moves,
              fmt::format("nothing moves: {} swings in a row drove the nail less than {:.1f} mm; "
