@@ -13,7 +13,6 @@ constexpr int kMisses = 2;                 // swings in a row that met nothing
 constexpr double kFirstHeightSd_m = 1e-3;  // of the height the task says, one standard deviation
 constexpr double kMayMove_m = 2e-4;        // by which a nail may have moved in a blow that seems to have left it
 constexpr double kTellsApart = 2.0;        // standard deviations
-constexpr double kFlushReserve = 0.5;      // standard deviations that a head must be below the tolerance
 constexpr double kSeenShare = 0.7;         // of rated: peaks seen may grow to this
 constexpr double kMostFaster = 1.5;        // from one blow to the next
 constexpr double kMostFactor = 2.5;        // over (59)
@@ -242,7 +241,7 @@ void HammerSession::learn() {
   } else if (contact.phase != ContactPhase::over) {
     // A soft blow may go unfelt; where the head is will show in the next one.
     state_ = SessionState::planning;
-  } else if (head_height_m_ + kFlushReserve * head_sd_m_ <= task.flush_tolerance_m) {
+  } else if (head_height_m_ <= task.flush_tolerance_m) {
     finish(Verdict::flush,
            fmt::format("the head is flush after {} swing{}", report.number, report.number == 1 ? "" : "s"));
   } else {

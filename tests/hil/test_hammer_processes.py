@@ -4,7 +4,7 @@ Both have the same robot, board, seed and plan. They are not the same run: on on
 simulated wire and modules tick in phases of their own, in lockstep a frame sent in one millisecond is there in the next
 and all tick together; sensor noise falls on other instants. How much that alone is worth, runs on one clock show that
 differ in nothing but when the modules boot (--boot-delay): on foam their first blow varies by some 4 % in speed and 15 %
-in impulse, and a contact that ends with a light touch is one or two. Same must be: verdict, number of swings, who went
+in impulse, and a contact that ends with a light touch is one or two. Same must be: verdict, number of swings but for one, who went
 passive, and the first plan, before anything was learnt. Of the first swing, equal within the sampling must be:
 - speed and impulse: within the span of the runs on one clock, and as much again on either side;
 - lead of the switch: one knot (4 ms), a tick for when the mode is decided and a tick for contact: 6 ms;
@@ -81,13 +81,16 @@ def test_the_verdict_and_the_number_of_swings_are_the_same(job):
     assert bus["board"] == clock["board"]
     for key in ("verdict", "flush", "success", "within_limits", "mode", "robot", "seed"):
         assert bus[key] == clock[key], key
-    assert len(bus["swings"]) == len(clock["swings"]) > 0
+    # The head's height is known to 0.2 to 0.6 mm and flush means 0.5 mm: one blow more may be needed to be sure.
+    assert min(len(bus["swings"]), len(clock["swings"])) > 0
+    assert abs(len(bus["swings"]) - len(clock["swings"])) <= 1
 
 
 def test_the_same_joints_go_passive_in_each_swing(job):
     clock, bus, _ = job
     sets = [[[joint["passive"] for joint in swing["joints"]] for swing in each["swings"]] for each in (clock, bus)]
-    assert sets[0] == sets[1]
+    both = min(len(sets[0]), len(sets[1]))
+    assert sets[0][:both] == sets[1][:both]
 
 
 def test_the_first_swing_is_planned_the_same(job):
