@@ -228,7 +228,8 @@ void add_calibrate_command(CLI::App& app, int& status) {
   one->add_flag("--json", a->json, "Print the result, the diff and whether it was written, for programs");
   one->footer(
       "Zero the torque sensor before friction is identified. Friction takes one to two minutes: the joint moves to and "
-      "fro about where it stands, the others hold. Ctrl-C stops it. A written file is checked first, its comments stay.");
+      "fro "
+      "about where it stands, the others hold. Ctrl-C stops it. A written file is checked first, its comments stay.");
   one->callback([a, &status] { status = calibrate(*a); });
 }
 
