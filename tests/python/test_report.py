@@ -259,11 +259,17 @@ def test_dotted_lines_are_spoken_of_only_if_there_are_any(report, run, never):
     assert "dotted" not in words(never)
 
 
+def heeds_interrupts():
+    """Even if the tests were started in the background by a shell that keeps interrupts from them."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 @pytest.mark.parametrize("after_s", [0.4, 0.8, 1.2])
 def test_ctrl_c_is_one_line_and_leaves_nothing(source_dir, copy, after_s):
     """Or it came too late: then the report is there, and nothing is said."""
     before = sorted(copy.iterdir())
-    child = subprocess.Popen([DEBIAN_PYTHON, source_dir / "tools" / "report.py", copy], stderr=subprocess.PIPE, text=True)
+    child = subprocess.Popen([DEBIAN_PYTHON, source_dir / "tools" / "report.py", copy], stderr=subprocess.PIPE, text=True,
+                             preexec_fn=heeds_interrupts)
     time.sleep(after_s)
     child.send_signal(signal.SIGINT)
     errors = child.communicate()[1]
