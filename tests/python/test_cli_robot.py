@@ -86,7 +86,7 @@ class Supervisor:
                 request = json.loads(line)
                 method, params = request["method"], request.get("params", {})
                 assert request["jsonrpc"] == "2.0" and len(line) < 65536
-                self.check(params, f"{method}_params")
+                self.check(request, "request")
                 self.asked.append((method, params))
                 answer = self.answers.get(method, lambda: {"command": 5})()
                 reply = {"jsonrpc": "2.0", "id": request["id"]}
