@@ -88,11 +88,13 @@ TEST(DenseFoam, LearningSavesSwings) {
     EXPECT_TRUE(fixed.within_limits) << fixed.limit_note;
     EXPECT_LT(learnt.swings.size(), fixed.swings.size()) << seed;
     double fastest_m_s = 0.0;
-    for (const sup::SwingReport& swing : learnt.swings) {
-      fastest_m_s = std::max(fastest_m_s, swing.plan.speed_m_s);
-      for (int i = 0; i < robot.dof(); ++i) {
-        const double rated_nm = robot.joints[static_cast<std::size_t>(i)].transmission.rated_nm;
-        EXPECT_TRUE(swing.speed_factor == 1.0 || swing.plan.blow.peak_torque_nm[i] <= rated_nm) << seed;
+    for (std::size_t k = 0; k < learnt.swings.size(); ++k) {
+      fastest_m_s = std::max(fastest_m_s, learnt.swings[k].plan.speed_m_s);
+      if (learnt.swings[k].speed_factor == 1.0) continue;
+      // Faster is planned only for what the gears bear for good; half of that was the most in 20 seeds.
+      for (std::size_t i = 0; i < robot.joints.size(); ++i) {
+        EXPECT_LE(learnt.truth[k].joints[i].peak_torque_nm, robot.joints[i].transmission.rated_nm)
+            << "seed " << seed << ", swing " << k + 1 << ", " << robot.joints[i].name;
       }
     }
     EXPECT_GT(fastest_m_s, 1.2 * fixed.swings.front().plan.speed_m_s) << seed;

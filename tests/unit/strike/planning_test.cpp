@@ -176,6 +176,8 @@ TEST(Plan, SpeedFactorLiftsTheLimitOfTheGearsAndNoOther) {
   EXPECT_NEAR(faster.speed_m_s, 1.3 * usual.speed_m_s, 0.02 * usual.speed_m_s);
   r.speed_factor = 2.0;
   const StrikePlan fastest = sup::plan(robot, chain, r);
+  ASSERT_TRUE(fastest.blow.feasible);
+  EXPECT_GT(fastest.speed_m_s, faster.speed_m_s);
   const MotionLimits limits = motion_limits(robot);
   for (int i = 0; i < robot.dof(); ++i) {
     EXPECT_LE(std::abs(fastest.qd_impact[i]), limits.velocity_rad_s[i] * (1.0 + 1e-9));
