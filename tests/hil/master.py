@@ -77,5 +77,14 @@ class Master:
                 return
         raise AssertionError(f"node {node} does not answer")
 
+    def read(self, node, index, sub, form):
+        self.robot.send(0x600 + node, struct.pack("<BHB4x", 0x40, index, sub))
+        for _ in range(100):
+            self.tick()
+            for answer in self.arrived.get(0x580 + node, []):
+                assert answer[0] & 0xF3 == 0x43, answer.hex()  # at most four bytes, as many as it says
+                return struct.unpack_from("<" + form, answer, 4)[0]
+        raise AssertionError(f"node {node} does not answer")
+
     def statusword(self, node):
         return struct.unpack_from("<H", self.latest.get(0x180 + node, b"\0\0"))[0]

@@ -31,9 +31,12 @@ def schema(name):
     return jsonschema.Draft202012Validator({"$ref": f"#/$defs/{name}", "$defs": whole["$defs"]}, registry=others)
 
 
+CALLED_WRONGLY = -32600, -32601, -32602
+
+
 class Rpc:
-    """A plain JSON-RPC client of its own, so that a mistake of ours at both ends shows. What mrr_supervisor says is held
-    against docs/rpc.schema.json (`checked`)."""
+    """A plain JSON-RPC client of its own, so that a mistake of ours at both ends shows. What mrr_supervisor says, and what it
+    takes for a request, are held against docs/rpc.schema.json (`checked`)."""
 
     def __init__(self, path, checked=True):
         self.checked = checked
@@ -67,10 +70,13 @@ class Rpc:
     def call(self, method, **params):
         """The whole answer."""
         self.number += 1
-        self.send(json.dumps({"jsonrpc": "2.0", "id": self.number, "method": method, "params": params}).encode())
+        request = {"jsonrpc": "2.0", "id": self.number, "method": method, "params": params}
+        self.send(json.dumps(request).encode())
         answer = self.answer()
         if self.checked:
             schema("answer").validate(answer)
+            if answer.get("error", {}).get("code") not in CALLED_WRONGLY:
+                schema("request").validate(request)
         assert answer["id"] == self.number
         return answer
 
@@ -78,7 +84,6 @@ class Rpc:
         answer = self.call(method, **params)
         assert "result" in answer, answer["error"]["message"]
         if self.checked:
-            schema(f"{method}_params").validate(params)
             schema(f"{method}_result").validate(answer["result"])
         return answer["result"]
 
@@ -330,6 +335,7 @@ def test_the_socket_is_private_and_survives_careless_clients(whole):
     for line, code in ((b"{", -32700), (b"\xff\xfe", -32700), (b"[1]", -32600), (b'{"jsonrpc":"2.0","id":1}', -32600),
                        (b'{"jsonrpc":"2.0","id":1,"method":"jump"}', -32601),
                        (b'{"jsonrpc":"2.0","id":1,"method":"home","params":{}}', -32602),
+                       (b'{"jsonrpc":"2.0","id":1,"method":"home"}', -32602),
                        (b'{"jsonrpc":"2.0","id":1,"method":"move","params":{"positions_rad":"up"}}', -32602),
                        (b'{"jsonrpc":"2.0","id":1,"method":"hammer","params":{"swings":0}}', -32602),
                        (b'{"jsonrpc":"2.0","id":1,"method":"status","params":{"x":1}}', -32602)):
@@ -337,6 +343,8 @@ def test_the_socket_is_private_and_survives_careless_clients(whole):
         answer = rpc.answer()
         answer = answer[0] if isinstance(answer, list) else answer
         assert answer["error"]["code"] == code, line
+        if code != -32700:
+            assert not schema("request").is_valid(json.loads(line)) and not schema("batch").is_valid(json.loads(line)), line
     stranger = Rpc(whole.socket)
     try:
         stranger.send(b'{"jsonrpc":"2.0","id":1,"method":"' + b"x" * 70000 + b'"}')

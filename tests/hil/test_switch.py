@@ -194,13 +194,8 @@ def test_bits_12_and_13_of_mode_8_are_following_and_following_error(leader):
     leader.lead_back()
     leader.send(0x200 + node, "Hb", 0, 8)
     leader.steps_until(lambda: leader.statusword(node) & 0x4F == 0x40, 2000, "disabled")
-    leader.write(node, 0x6065, 0, "I", 1)
-    leader.write(node, 0x6066, 0, "H", 60_000)
-    for word, bits in ((6, 0x21), (7, 0x23), (15, 0x27)):
-        leader.send(0x200 + node, "Hb", word, 8)
-        leader.steps_until(lambda b=bits: leader.statusword(node) & 0x6F == b, 400, f"{word}")
-    leader.steps_until(lambda: leader.latest[0x180 + node][2] == 8, 1000, "mode 8")
-    leader.home[node] += 50_000
+    usual = {index: leader.read(node, index, 0, kind) for index, kind in ((0x6065, "I"), (0x6066, "H"))}
+    home = leader.home[node]
     words = set()
     step = leader.step
 
@@ -208,9 +203,21 @@ def test_bits_12_and_13_of_mode_8_are_following_and_following_error(leader):
         step()
         words.add(leader.statusword(node))
 
-    leader.step = watched
-    leader.lead_back()
-    del leader.step
+    try:
+        leader.write(node, 0x6065, 0, "I", 1)
+        leader.write(node, 0x6066, 0, "H", 60_000)
+        for word, bits in ((6, 0x21), (7, 0x23), (15, 0x27)):
+            leader.send(0x200 + node, "Hb", word, 8)
+            leader.steps_until(lambda b=bits: leader.statusword(node) & 0x6F == b, 400, f"{word}")
+        leader.steps_until(lambda: leader.latest[0x180 + node][2] == 8, 1000, "mode 8")
+        leader.home[node] += 50_000
+        leader.step = watched
+        leader.lead_back()
+    finally:
+        leader.step = step
+        leader.home[node] = home
+        leader.write(node, 0x6065, 0, "I", usual[0x6065])
+        leader.write(node, 0x6066, 0, "H", usual[0x6066])
     assert any(word & 0x3000 == 0x3000 for word in words), "followed, and off by more than the window"
     assert all(word & 0x6F == 0x27 for word in words)
     assert leader.statusword(node) & 0x1000
