@@ -65,6 +65,8 @@ int main(int argc, char** argv) {
   } catch (const can::CanError& error) {
     return complain(error, cli::kExitNotDone);
   } catch (const rpc::Json::exception& error) {
+    constexpr int kNotUtf8 = 316;  // of what is written, a name or path that was given
+    if (error.id == kNotUtf8) return complain(error, cli::kExitUsage);
     // Nothing else here reads JSON: an answer lacks what docs/rpc.md says.
     fmt::print(stderr, "mrr: the answer is none of mrr_supervisor or mrr_plant ({}); see what runs at the socket\n",
                error.what());

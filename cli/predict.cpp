@@ -229,7 +229,7 @@ void add_predict_command(CLI::App& app, int& status) {
                    "styrofoam, hardwood, or a board's YAML file (default: e, M* and contact as given)")
       ->type_name("NAME");
   command->add_option("--robots", arguments->robots, "Robots of this description the resolved model tries")
-      ->check(CLI::Range(1, 32))
+      ->check(CLI::Range(1, sup::kMostRobots))
       ->capture_default_str();
   command->add_flag("--json", arguments->json, "Print one JSON object and nothing else");
   command->callback([arguments, &status] { status = run_predict(*arguments); });

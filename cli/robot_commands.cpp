@@ -200,16 +200,15 @@ int move(const Arguments& arguments) {
 }  // namespace
 
 Json greet(rpc::Client& client) {
-  constexpr int kInterfaceVersion = 1;
   Json hello = client.call("hello");
   const auto version = hello.is_object() ? hello.find("interface_version") : hello.end();
   if (version == hello.end() || !version->is_number_integer())
     throw rpc::ConnectionError("what answers at the socket is not mrr_supervisor; name its socket with --socket");
-  if (*version != kInterfaceVersion) {
+  if (*version != rpc::kInterfaceVersion) {
     throw rpc::ConnectionError(
         fmt::format("mrr_supervisor there speaks interface version {}, this command version {}; install both from one "
                     "release",
-                    version->dump(), kInterfaceVersion));
+                    version->dump(), rpc::kInterfaceVersion));
   }
   return hello;
 }

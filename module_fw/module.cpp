@@ -428,7 +428,7 @@ void Module::choose_reactions() noexcept {
   const auto choose = [this](Fault fault, std::uint8_t number) {
     const auto reaction = static_cast<Reaction>(number);
     // A harder one is as good as a new fault: told again.
-    if (reaction > faults_.reaction_of(fault)) raised_ &= ~FaultMonitor::bit(fault);
+    if (reaction > faults_.reaction_of(fault)) tell_again_ |= FaultMonitor::bit(fault);
     faults_.set_reaction(fault, reaction);
   };
   const can::ObjectDictionary& od = od_;
@@ -663,6 +663,8 @@ void Module::watch(Time now, const RawSensors& sensors) noexcept {
 // New causes, the hardest first; those that are over and were no reason for FAULT are taken back.
 void Module::settle_faults(Time now) noexcept {
   const std::uint64_t present = faults_.present();
+  const std::uint64_t fresh_now = present & (~raised_ | tell_again_);
+  tell_again_ = 0;
   const auto tell = [&](Fault fault) {
     raised_ |= FaultMonitor::bit(fault);
     fail(fault, now);
@@ -671,8 +673,9 @@ void Module::settle_faults(Time now) noexcept {
     if (silence && faults_.reaction_of(fault) == Reaction::hold && brake_.motion_allowed())
       stop_at_limit(LimitCode::watchdog);
   };
-  if ((present & ~raised_) != 0 && (raised_ & FaultMonitor::bit(faults_.cause())) == 0) tell(faults_.cause());
-  for (std::uint64_t fresh = present & ~raised_; fresh != 0; fresh &= fresh - 1U) {
+  const std::uint64_t hardest = fresh_now & FaultMonitor::bit(faults_.cause());
+  if (hardest != 0) tell(faults_.cause());
+  for (std::uint64_t fresh = fresh_now & ~hardest; fresh != 0; fresh &= fresh - 1U) {
     tell(static_cast<Fault>(std::countr_zero(fresh)));
   }
   for (std::uint64_t over = raised_ & ~present; over != 0; over &= over - 1U) {
@@ -737,7 +740,9 @@ void Module::find_faults(Time now, const RawSensors& sensors) noexcept {
   constexpr float kBeyond = can::row_of(Fault::position_limit).threshold;
   const bool outward =
       (q > c.limits.upper_rad + kBeyond && v > kOutward) || (q < c.limits.lower_rad - kBeyond && v < -kOutward);
-  if (outward) faults_.check(Fault::position_limit, status_.homed && !homing_.running());
+  // A search for a limit switch goes beyond the limits; any other knows where it is, if the joint does.
+  const bool seeks_limit = homing_.running() && homing_.config().mark == HomingMark::limit_switch;
+  if (outward) faults_.check(Fault::position_limit, status_.homed && !seeks_limit);
   if (!sensing_.input(kInputBrakeReleased)) faults_.check(Fault::brake_closed, brake_.brake_open());
   if (enabled && selector_.law() == Law::active && brake_.motion_allowed() && !torque_mode() &&
       !selector_.catching_up()) {
@@ -902,6 +907,7 @@ void Module::go_passive(Time now) noexcept {
   passive_ended_by_ = LimitCode::none;
   passivity_lost_ = false;
   hold_reason_ = LimitCode::none;
+  pass(Fault::knots_lost);  // a passive joint follows none; it is watched anew, as 2130h:04 says
   was_blending_ = true;
   status_.selection_executed_at = now;
   ++od_.count_selections;
@@ -961,10 +967,15 @@ void Module::lead(Time now) noexcept {
   const Authority before = authority_;
   if (limit_stop_ && mode_ != Mode::cyclic_torque && reference_.at_rest()) limit_stop_ = false;
   if (torque_target_came_ && stands(Fault::torque_target_lost)) {
-    // A target came again: the torque returns, at the slew rate.
+    // A target came again: the torque returns, at the slew rate, unless another silence holds the joint.
     pass(Fault::torque_target_lost);
-    limit_stop_ = false;
-    hold_reason_ = LimitCode::none;
+    const auto holds = [this](Fault fault) {
+      return faults_.is_present(fault) && faults_.reaction_of(fault) == Reaction::hold;
+    };
+    if (!holds(Fault::heartbeat_lost) && !holds(Fault::bus_off)) {
+      limit_stop_ = false;
+      hold_reason_ = LimitCode::none;
+    }
   }
   authority_ = arbitrate();
   switch (authority_) {
@@ -1114,6 +1125,7 @@ Homing::Inputs Module::homing_inputs() const noexcept {
           .positive_limit = sensing_.input(kInputPositiveLimit),
           .index_pulse = sensing_.input(kInputIndexPulse),
           .position_rad = sensing_.position_rad(),
+          .moving_rad_s = reference_.state().velocity_rad_s,
           .effort_nm = status_.torque_command_nm - load_torque_nm_};
 }
 
@@ -1445,7 +1457,6 @@ can::LimitCode Module::active_limit() const noexcept {
   if (passivity_lost_) return LimitCode::passivity_guard;
   if (passive_ended_by_ != LimitCode::none) return passive_ended_by_;
   if (load_by_model_ && config_.sensing.torque_sensor) return LimitCode::model_torque;
-  if (swing_watch_.swings(status_.now)) return LimitCode::torque_swings;
   switch (drive_limit_) {
     case DriveLimit::none:
       break;
@@ -1456,6 +1467,7 @@ can::LimitCode Module::active_limit() const noexcept {
     case DriveLimit::current_thermal:
       return LimitCode::thermal;
   }
+  if (swing_watch_.swings(status_.now)) return LimitCode::torque_swings;
   if (selector_.law() == Law::active && selector_.catching_up()) return LimitCode::torque_slew;
   if (reference_.continuing()) return LimitCode::knot_extrapolated;
   if (mode_ == Mode::cyclic_position && selector_.law() == Law::active && !reference_.following()) {

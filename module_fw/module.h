@@ -241,6 +241,7 @@ class Module final : private can::NodeApplication {
   SwingWatch swing_watch_;
   std::uint64_t standing_ = 0;                      ///< causes that were found once and last, a bit each
   std::uint64_t raised_ = 0;                        ///< causes the bus was told of, a bit each
+  std::uint64_t tell_again_ = 0;                    ///< of these, whose reaction has become harder since
   can::Reaction reaction_ = can::Reaction::report;  ///< what is being done about them
   Time reaction_since_;
   float damping_nm_s_rad_ = 0.0F;

@@ -122,7 +122,8 @@ const char* formulation_name(Formulation formulation) noexcept {
 Json assumed_json(const SwingReport& swing) {
   return {{"restitution", number(swing.restitution)},
           {"nail_mass_kg", number(swing.nail_mass_kg)},
-          {"nail_height_mm", number(swing.head_height_before_m * 1e3)}};
+          {"nail_height_mm", number(swing.head_height_before_m * 1e3)},
+          {"speed_factor", number(swing.speed_factor)}};
 }
 
 Json seen_json(const SwingReport& swing) {
@@ -130,7 +131,8 @@ Json seen_json(const SwingReport& swing) {
   return {{"contact_ms", number((seen.end - seen.start).seconds() * 1e3)},
           {"impulse_n_s", number(seen.impulse_n_s)},
           {"penetration_mm", number(seen.penetration_m * 1e3)},
-          {"nail_height_mm", number(swing.head_height_after_m * 1e3)}};
+          {"nail_height_mm", number(swing.head_height_after_m * 1e3)},
+          {"nail_height_sd_mm", number(swing.head_sd_after_m * 1e3)}};
 }
 
 Json aborted_json(const SwingOutcome& outcome) {

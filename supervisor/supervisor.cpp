@@ -938,6 +938,8 @@ void Supervisor::on_cycle() noexcept {
       outcome_.passive_seen[at(i)] = synced_;
       emit(EventKind::joint_passive, i);
     }
+    const bool by_model = measured.error_or_limit == static_cast<std::uint16_t>(can::LimitCode::model_torque);
+    outcome_.torque_sensed = outcome_.torque_sensed && !by_model;
     if (contact.phase == ContactPhase::touching) {
       outcome_.peak_torque_nm[at(i)] = std::max(outcome_.peak_torque_nm[at(i)], std::abs(measured.torque_nm));
       outcome_.axis_impulse_nm_s[at(i)] += measured.torque_nm * sync_period_.seconds();

@@ -112,6 +112,7 @@ struct SwingOutcome {
   std::array<Time, kMaxJoints> passive_seen{};         ///< SYNC at which the joint showed passive; ns < 0: never
   std::array<double, kMaxJoints> peak_torque_nm{};     ///< joint torque sensors at the knot rate, during contact
   std::array<double, kMaxJoints> axis_impulse_nm_s{};  ///< the same, summed over the contact; signed
+  bool torque_sensed = true;  ///< no joint said meanwhile that it went by the model for want of its sensor
 };
 
 /// One swing as the cycle needs it; copied in by execute().

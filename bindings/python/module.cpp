@@ -303,6 +303,7 @@ void bind_plan(py::module_& m) {
       .def_readwrite("passive", &In::passive, "this selection and no other, bit i = joint i; None: by the mode")
       .def_readwrite("speed_share", &In::speed_share)
       .def_readwrite("wanted_penetration_m", &In::wanted_penetration_m, "> 0: no harder than this takes")
+      .def_readwrite("speed_factor", &In::speed_factor, "times what (59) allows, 1 or more")
       .def_readwrite("seed", &In::seed)
       .def_property(
           "mode", [](const In& in) { return word_of(kModes, in.mode); },

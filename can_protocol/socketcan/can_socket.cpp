@@ -238,14 +238,17 @@ void CanSocket::Impl::note_error_frame(const canfd_frame& frame) noexcept {
   if ((frame.can_id & CAN_ERR_RESTARTED) != 0) bus_off = error_passive = false;
   if ((frame.can_id & CAN_ERR_CRTL) != 0) {
     const unsigned controller = frame.data[1];
+    // A controller that warns is error-active again: from passive, the warning comes first.
+    constexpr unsigned kActive = CAN_ERR_CRTL_ACTIVE | CAN_ERR_CRTL_RX_WARNING | CAN_ERR_CRTL_TX_WARNING;
+    if ((controller & kActive) != 0) error_passive = false;
     if ((controller & (CAN_ERR_CRTL_RX_PASSIVE | CAN_ERR_CRTL_TX_PASSIVE)) != 0) error_passive = true;
-    if ((controller & CAN_ERR_CRTL_ACTIVE) != 0) error_passive = false;
   }
 }
 
 void CanSocket::Impl::note_loss(int error) noexcept {
   if (error != ENETDOWN && error != ENODEV && error != ENXIO) return;
   link_down = true;
+  error_passive = false;  // a controller that is started again has no errors counted, and sends no frame to say so
   detached = detached || error != ENETDOWN;
 }
 

@@ -15,6 +15,9 @@ using Params = nlohmann::json;
 /// What is sent back; keeps the order of its keys. Numbers that are not finite are sent as null.
 using Json = nlohmann::ordered_json;
 
+/// Version of the interface in docs/rpc.md: what `hello` says, and what a client looks for.
+inline constexpr int kInterfaceVersion = 1;
+
 /// Longest request, bytes, without its newline. Replies may be longer.
 inline constexpr std::size_t kMaxRequestBytes = 64 * 1024;
 /// Most requests in a batch.

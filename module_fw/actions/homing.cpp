@@ -115,7 +115,8 @@ bool Homing::update(Time now, const Inputs& in) noexcept {
       }
       break;
     case Phase::leave:
-      if (!on) return at_edge();
+      // While it still brakes on the way in, an open contact is a bounce, or the switch's far end.
+      if (!on && in.moving_rad_s * static_cast<float>(config_.direction) < 0.0F) return at_edge();
       if (limit_behind) phase_ = Phase::failed;
       break;
     case Phase::index:

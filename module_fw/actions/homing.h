@@ -28,7 +28,8 @@ class Homing {
     bool positive_limit = false;
     bool index_pulse = false;
     float position_rad = 0.0F;
-    float effort_nm = 0.0F;  ///< torque beyond what the joint carries
+    float moving_rad_s = 0.0F;  ///< of the reference
+    float effort_nm = 0.0F;     ///< torque beyond what the joint carries
   };
 
   void start(Time now, const Inputs& in) noexcept;

@@ -18,7 +18,10 @@ class SwingWatch {
 
   /// One tick of a joint that rests. After motion it begins anew.
   void update(float torque_nm, Time now) noexcept {
-    if (now - last_ > kPause) ticks_ = turns_ = windows_ = 0;
+    if (now - last_ > kPause) {
+      ticks_ = turns_ = windows_ = 0;
+      mean_nm_ = torque_nm;
+    }
     last_ = now;
     mean_nm_ += filter_ * (torque_nm - mean_nm_);
     if ((torque_nm - mean_nm_) * side_ < -band_nm_) {

@@ -651,7 +651,7 @@ Json Service::hello() const {
                       {"max_passive_s", joint.control.max_passive_s},
                       {"max_passive_travel_rad", joint.control.max_passive_travel_rad}});
   }
-  return {{"interface_version", kRpcVersion},
+  return {{"interface_version", rpc::kInterfaceVersion},
           {"software_version", MRR_VERSION},
           {"pid", ::getpid()},
           {"robot",

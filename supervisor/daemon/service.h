@@ -30,9 +30,6 @@ struct ServiceOptions {
   Duration test_switch_late{};
 };
 
-/// Version of the interface in docs/rpc.md.
-inline constexpr int kRpcVersion = 1;
-
 /// Errors of docs/rpc.md.
 enum class RpcError : int {
   not_ready = 1,

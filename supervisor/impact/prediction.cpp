@@ -77,7 +77,8 @@ Complaint first_complaint(const StrikeArm& arm, const PredictInput& in, Predicti
   if (model == PredictionModel::instant) return {};
   if (!within(in.switch_lead_s, 0.0, 0.5)) return {"switch_lead_s", in.switch_lead_s, "s must lie between 0 and 0.5"};
   if (!within(in.passive_s, 1e-3, 10.0)) return {"passive_s", in.passive_s, "s must lie between 0.001 and 10"};
-  if (!(in.robots >= 1 && in.robots <= 32))
+  static_assert(kMostRobots == 32);
+  if (!(in.robots >= 1 && in.robots <= kMostRobots))
     return {"robots", static_cast<double>(in.robots), "must lie between 1 and 32"};
   if (!within(in.early_m, -0.05, 0.05)) return {"early_m", in.early_m, "m must lie within +-0.05"};
   const ReferenceProfile& r = in.reference;
@@ -213,9 +214,7 @@ Prediction predict(const StrikeArm& arm, const PredictInput& input, PredictionMo
   } else {
     out = model == PredictionModel::finite_time ? finite_time_blow(arm, input) : instant_blow(arm, input);
   }
-  out.impulse_low_n_s = out.impulse_high_n_s = out.impulse_n_s;
-  out.axis_impulse_low_nm_s = out.axis_impulse_high_nm_s = out.axis_impulse_nm_s;
-  out.peak_torque_low_nm = out.peak_torque_high_nm = out.peak_torque_nm;
+  out.as_one_robot();
   return out;
 }
 

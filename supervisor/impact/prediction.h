@@ -107,7 +107,8 @@ struct PredictInput {
   /// Where the face is when the reference is at q, above the head along the normal, m: 0 as planned.
   double early_m = 0.0;
   /// Resolved model only: so many robots of this description are struck with, the first exactly as described, the
-  /// others as far from it as robots are (kRobotsDiffer). The blow given is the one nearest the middle of all. 1 to 32.
+  /// others as far from it as robots are (kRobotsDiffer). The blow given is the one nearest the middle of all. 1 to
+  /// kMostRobots.
   int robots = 1;
   RotorModel rotor_model = RotorModel::sym;
   Formulation formulation = Formulation::corrected;  ///< of the instant model's internal impulses
@@ -116,6 +117,8 @@ struct PredictInput {
   double nail_mass_kg = std::numeric_limits<double>::infinity();
   double contact_s = std::numeric_limits<double>::quiet_NaN();
 };
+
+inline constexpr int kMostRobots = 32;
 
 /// How far one robot and one nail are from their description, either way: shares, and m.
 struct RobotsDiffer {
@@ -155,6 +158,12 @@ struct Prediction {
   double impulse_high_n_s = 0.0;
   JointVector axis_impulse_low_nm_s, axis_impulse_high_nm_s;
   JointVector peak_torque_low_nm, peak_torque_high_nm;
+  /// Smallest and largest are the value itself.
+  void as_one_robot() noexcept {
+    impulse_low_n_s = impulse_high_n_s = impulse_n_s;
+    axis_impulse_low_nm_s = axis_impulse_high_nm_s = axis_impulse_nm_s;
+    peak_torque_low_nm = peak_torque_high_nm = peak_torque_nm;
+  }
   /// The blow's part in full: link i on link i-1, at the centre of joint i, base frame; its axis component is
   /// `blow_impulse_nm_s`.
   std::array<WrenchImpulse, kMaxJoints> wrench = [] {

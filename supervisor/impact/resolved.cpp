@@ -653,12 +653,10 @@ Prediction Blow::run() noexcept {
 }  // namespace
 
 Prediction resolve_blow(const StrikeArm& arm, const PredictInput& input) noexcept {
-  constexpr int kMost = 32;  // validate_input()
+  constexpr int kMost = kMostRobots;
   const int n = arm.chain.dof();
   Prediction out = Blow(arm, input, {}).run();
-  out.impulse_low_n_s = out.impulse_high_n_s = out.impulse_n_s;
-  out.axis_impulse_low_nm_s = out.axis_impulse_high_nm_s = out.axis_impulse_nm_s;
-  out.peak_torque_low_nm = out.peak_torque_high_nm = out.peak_torque_nm;
+  out.as_one_robot();
   const int robots = std::min(input.robots, kMost);
   if (robots <= 1 || !out.feasible) return out;
 
@@ -677,7 +675,11 @@ Prediction resolve_blow(const StrikeArm& arm, const PredictInput& input) noexcep
   note(0, out);
   for (int robot = 1; robot < robots; ++robot) {
     const Prediction p = Blow(arm, input, robot_of(robot, n)).run();
-    if (!p.feasible) return p;
+    if (!p.feasible) {
+      Prediction none = p;
+      none.as_one_robot();
+      return none;
+    }
     note(robot, p);
     out.impulse_low_n_s = std::min(out.impulse_low_n_s, p.impulse_n_s);
     out.impulse_high_n_s = std::max(out.impulse_high_n_s, p.impulse_n_s);

@@ -35,6 +35,7 @@ SeenBlow StrikeEstimator::look(const StrikePlan& plan, const ContactReport& repo
   std::size_t off = 1;
   const auto above = [&](std::size_t k) { return report.leaving[k].height_m > fit.height_m; };
   while (off + 1 < report.leaving.size() && !(above(off) && above(off + 1))) ++off;
+  if (off + 1 >= report.leaving.size()) return seen;  // it did not leave
   for (std::size_t k = off; k < report.leaving.size(); ++k) {
     const ContactPoint& point = report.leaving[k];
     contact.impulse_n_s -= point.force_n * point.counted_s;

@@ -139,11 +139,14 @@ PlanInput HammerSession::next_request() const {
 /// that another blow like this one would not finish.
 double HammerSession::next_speed_factor(const SwingReport& swing, double moved_m) const {
   if (!options_.learn || !(moved_m > 0.0) || swing.head_height_after_m <= moved_m) return 1.0;
+  if (!swing.outcome.torque_sensed) return 1.0;
   double use = 0.0;
   for (int i = 0; i < robot_.dof(); ++i) {
     const JointDescription& joint = robot_.joints[static_cast<std::size_t>(i)];
     if (!joint.sensors.torque_sensor) return 1.0;
-    use = std::max(use, swing.outcome.peak_torque_nm[static_cast<std::size_t>(i)] / joint.transmission.rated_nm);
+    const double share = swing.outcome.peak_torque_nm[static_cast<std::size_t>(i)] / joint.transmission.rated_nm;
+    if (!std::isfinite(share)) return 1.0;
+    use = std::max(use, share);
   }
   if (!(use > 0.0)) return 1.0;
   return std::clamp(swing.speed_factor * std::min(kMostFaster, kSeenShare / use), 1.0, kMostFactor);
@@ -197,6 +200,7 @@ void HammerSession::learn() {
   report.speed_factor = speed_factor_;
   report.nail_mass_kg = estimator_.nail_mass_kg();
   report.head_height_after_m = head_height_m_;
+  report.head_sd_after_m = head_sd_m_;
   const SwingOutcome& outcome = report.outcome;
   const ContactReport& contact = outcome.contact;
 

@@ -179,10 +179,7 @@ bool Shell::tick(Time now, const RawSensors& sensors, std::span<const can::Recei
   } else {
     module_->bus_recovered(now);
   }
-  if (can_.error_passive() != error_passive_) {
-    error_passive_ = can_.error_passive();
-    module_->bus_passive(error_passive_, now);
-  }
+  module_->bus_passive(can_.error_passive(), now);  // told once; again after a reset of the node
   module_->step(now, sensors, received, actuator_, tx_);
   if (!tx_.empty()) can_.send({tx_.data(), tx_.size()});
   if (!received.empty()) follow_cob_ids();  // only a frame can have changed them

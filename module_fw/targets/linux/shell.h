@@ -68,7 +68,6 @@ class Shell {
   bool timer_of_plant_ = false;
   std::int64_t ticks_ = 0;
   std::int64_t times_off_ = 0;  ///< bus-off, as the module was told
-  bool error_passive_ = false;  ///< as the module was told
   bool twin_seen_ = false;
   std::int64_t overruns_ = 0;        ///< ticks left out because the loop was late
   std::int64_t without_sample_ = 0;  ///< ticks by the wall clock for which no new sample had come

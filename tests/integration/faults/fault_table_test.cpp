@@ -681,6 +681,38 @@ TEST(Faults, InTorqueModeASilentSourceHasReactionsOfItsOwn) {
   }
 }
 
+TEST(Faults, ATorqueTargetThatComesBackDoesNotEndTheHoldOfALostHeartbeat) {
+  for (const bool heartbeat_too : {false, true}) {
+    PlantBench b = following_joint();
+    b.run(0.01);
+    b.write(0x2131, 2, static_cast<std::uint32_t>(Reaction::hold), 1);
+    b.write(0x2132, 1, static_cast<std::uint32_t>(Reaction::hold), 1);
+    ASSERT_TRUE(b.enable());
+    lead_by_torque(b);
+    if (heartbeat_too) b.receive(can::heartbeat_frame(1, can::NmtState::operational));
+    b.run(0.8);
+    ASSERT_EQ(b.status().limit, LimitCode::watchdog);
+    for (int i = 0; i < 300; ++i) send_torque(b);
+    EXPECT_EQ(b.status().authority == Authority::motion, !heartbeat_too);
+    EXPECT_EQ(b.status().limit == LimitCode::watchdog, heartbeat_too);
+  }
+}
+
+TEST(Faults, KnotsThatWereLostBeforeDoNotEndAPassivePhase) {
+  PlantBench b = following_joint();
+  b.run(0.01);
+  b.write(0x2133, 1, static_cast<std::uint32_t>(Reaction::stop), 1);
+  ASSERT_TRUE(b.enable());
+  ASSERT_TRUE(b.follow_here());
+  b.trajectory = nullptr;
+  b.run(0.1);
+  ASSERT_EQ(b.module.objects().error_code, static_cast<int>(Emergency::knots_lost));
+  b.select(can::SelectionAction::now, false, 1);
+  b.run(0.02);
+  EXPECT_EQ(b.status().law, Law::passive);
+  EXPECT_EQ(b.status().fault, Emergency::none);
+}
+
 TEST(Faults, WhilePassiveASilentSourceHasReactionsOfItsOwn) {
   const std::vector<Silence> sources{
       {"knots", 1, Fault::knots_lost, [](PlantBench& b) { b.trajectory = nullptr; }},

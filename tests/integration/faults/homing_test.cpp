@@ -125,6 +125,53 @@ TEST(HomingMethods, AreAllThatTheObjectsSayAndEachIsTried) {
   }
 }
 
+TEST(HomingMethods, ASwitchThatBouncesIsNotLeftYet) {
+  for (const int method : {17, 19}) {
+    const Case& c = *std::ranges::find(kCases, method, &Case::method);
+    const std::uint32_t contact = method == 17 ? kInputNegativeLimit : kInputHomeSwitch;
+    PlantBench b(joint_2(c));
+    ASSERT_TRUE(b.enable());
+    int closed = 0;
+    b.spoil = [&](RawSensors& raw) {
+      if ((raw.inputs & contact) != 0) ++closed;
+      if (closed == 3 || closed == 4) raw.inputs = static_cast<std::uint8_t>(raw.inputs & ~contact);
+    };
+    b.write(0x6098, 0, static_cast<std::uint32_t>(method), 1);
+    b.set_mode(6);
+    b.run(0.01);
+    b.command(0x1F);
+    const auto is = [&](unsigned bit) { return (b.module.objects().statusword & bit) != 0; };
+    ASSERT_TRUE(b.run_until([&] { return is(kStatusFollowing) || is(kStatusFollowingError); }, 40.0));
+    ASSERT_TRUE(is(kStatusFollowing));
+    ASSERT_GT(closed, 4) << "it never bounced";
+    EXPECT_NEAR(1.0 + b.joint.motor_q() - double{b.status().position_rad}, c.edge_rad, 0.004);
+  }
+}
+
+TEST(HomingMethods, AJointThatIsHomedKeepsItsLimitsWhileItSeeksAnIndexPulse) {
+  JointSetup setup = joint_2({33, kHere, kHere, -1});
+  const auto config = setup.config;
+  setup.config = [=](ModuleConfig& m) {
+    config(m);
+    m.sensing.encoder_absolute = true;
+    m.homing.slow_rad_s = 0.2F;
+    m.limits.lower_rad = static_cast<float>(kHere) - 0.01F;
+  };
+  PlantBench b(setup);
+  b.spoil = [](RawSensors& raw) {
+    raw.inputs = static_cast<std::uint8_t>(raw.inputs & ~unsigned{kInputIndexPulse});
+  };  // it never comes
+  ASSERT_TRUE(b.enable());
+  ASSERT_TRUE(b.status().homed);
+  b.write(0x6098, 0, 33, 1);
+  b.set_mode(6);
+  b.run(0.01);
+  b.command(0x1F);
+  ASSERT_TRUE(b.run_until([&] { return b.status().cause != can::Fault::none; }, 5.0));
+  EXPECT_EQ(b.status().cause, can::Fault::position_limit);
+  EXPECT_GT(b.joint.motor_q(), kLower + 0.02) << "only the limit switch ended it";
+}
+
 TEST(HomingMethods, ATimeoutEndsThem) {
   for (const int method : {17, 33}) {
     Case c{method, kHere, kLower, 0};
