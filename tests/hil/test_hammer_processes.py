@@ -4,11 +4,12 @@ Both have the same robot, board, seed and plan. They are not the same run: on on
 simulated wire and modules tick in phases of their own, in lockstep a frame sent in one millisecond is there in the next
 and all tick together; sensor noise falls on other instants. How much that alone is worth, runs on one clock show that
 differ in nothing but when the modules boot (--boot-delay): on foam their first blow varies by some 4 % in speed and 15 %
-in impulse, and a contact that ends with a light touch is one or two. Same must be: verdict, number of swings but for one, who went
-passive, and the first plan, before anything was learnt. Of the first swing, equal within the sampling must be:
-- speed and impulse: within the span of the runs on one clock, and as much again on either side;
+in impulse, and a contact that ends with a light touch is one or two. Same must be: verdict, number of swings (on foam but
+for two), who went passive, and the first plan, before anything was learnt. Of the first swing, equal within the sampling must be:
+- speed, impulse and torques: within the span of the runs on one clock, and as much again on either side, for torques 1 Nm at
+  least. On hardwood joint 3 carries 5.0 Nm in some of these and 7.0 in the others, nothing between;
 - lead of the switch: one knot (4 ms), a tick for when the mode is decided and a tick for contact: 6 ms;
-- penetration and torques: 10 % or, where small, 1 mm, 2 Nm; on hardwood duration too, 10 % or 10 ms.
+- penetration: 10 % or 1 mm; on hardwood duration too, 10 % or 10 ms.
 Later swings are planned from what was felt, so each is compared by what it gave of what was predicted for it: 10 %.
 """
 
@@ -37,8 +38,16 @@ def spans(tmp_path_factory):
     folder = tmp_path_factory.mktemp("boot_delays")
     swings = {board: [on_one_clock(board, delay, folder / f"{board}{delay}")[1]["swings"][0] for delay in BOOT_DELAYS_MS]
               for board in ("styrofoam", "hardwood")}
-    return {board: {key: [swing[key] for swing in each] for key in ("speed_m_s", "impulse_measured_n_s")}
-            for board, each in swings.items()}
+    spans = {board: {key: [swing[key] for swing in each] for key in ("speed_m_s", "impulse_measured_n_s")}
+             for board, each in swings.items()}
+    for board, each in swings.items():
+        spans[board]["torques"] = list(zip(*([joint["peak_torque_nm"] for joint in swing["joints"]] for swing in each)))
+    return spans
+
+
+def is_one_of(value, values, margin=0.0):
+    margin = max(margin, max(values) - min(values))
+    return min(values) - margin <= value <= max(values) + margin
 
 
 @pytest.fixture(scope="module")
@@ -81,9 +90,11 @@ def test_the_verdict_and_the_number_of_swings_are_the_same(job):
     assert bus["board"] == clock["board"]
     for key in ("verdict", "flush", "success", "within_limits", "mode", "robot", "seed"):
         assert bus[key] == clock[key], key
-    # The head's height is known to 0.2 to 0.6 mm and flush means 0.5 mm: one blow more may be needed to be sure.
+    # On one clock, seed 1, boot delays of 0 to 160 ms by 4: on foam two blows in 35 jobs, three in 3, four in 3. The second
+    # made the head flush in all of them; where it was believed to stand 0.5 to 0.9 mm proud it was struck again. On
+    # hardwood three blows in all 41.
     assert min(len(bus["swings"]), len(clock["swings"])) > 0
-    assert abs(len(bus["swings"]) - len(clock["swings"])) <= 1
+    assert abs(len(bus["swings"]) - len(clock["swings"])) <= (2 if bus["board"] == "styrofoam" else 0)
 
 
 def test_the_same_joints_go_passive_in_each_swing(job):
@@ -106,7 +117,6 @@ def test_the_first_swing_is_equal_to_within_the_sampling(job):
     assert ours["hit"] == theirs["hit"]
     assert ours["penetration_mm"] == pytest.approx(theirs["penetration_mm"], rel=0.10, abs=1)
     for a, b in zip(ours["joints"], theirs["joints"], strict=True):
-        assert a["peak_torque_nm"] == pytest.approx(b["peak_torque_nm"], rel=0.10, abs=2), a["name"]
         if b["switch_lead_ms"] is not None:
             assert a["switch_lead_ms"] == pytest.approx(b["switch_lead_ms"], abs=6), a["name"]
 
@@ -120,15 +130,21 @@ def test_a_contact_on_hardwood_lasts_as_long(jobs):
 @pytest.mark.parametrize("key", ["speed_m_s", "impulse_measured_n_s"])
 def test_the_first_blow_is_one_of_those_on_one_clock(jobs, spans, board, key):
     values = spans[board][key]
-    width = max(values) - min(values)
-    assert width > 0, "boot delays change nothing: the span says nothing"
-    assert min(values) - width <= jobs[board][1]["swings"][0][key] <= max(values) + width, values
+    assert max(values) > min(values), "boot delays change nothing: the span says nothing"
+    assert is_one_of(jobs[board][1]["swings"][0][key], values), values
+
+
+@pytest.mark.parametrize("board", ["styrofoam", "hardwood"])
+def test_the_first_blow_loads_the_gears_as_one_of_those_on_one_clock(jobs, spans, board):
+    for joint, values in zip(jobs[board][1]["swings"][0]["joints"], spans[board]["torques"], strict=True):
+        assert is_one_of(joint["peak_torque_nm"], values, 1.0), (joint["name"], joint["peak_torque_nm"], values)
 
 
 def test_later_swings_give_as_much_of_what_was_predicted_on_hardwood(jobs):
     clock, bus, _ = jobs["hardwood"]
     shares = [[swing["impulse_measured_n_s"] / swing["impulse_predicted_n_s"] for swing in each["swings"]] for each in (clock, bus)]
-    assert shares[0] == pytest.approx(shares[1], rel=0.10)
+    both = min(map(len, shares))
+    assert shares[0][:both] == pytest.approx(shares[1][:both], rel=0.10)
 
 
 def test_the_files_are_of_the_same_form(job):
