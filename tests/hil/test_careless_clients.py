@@ -117,4 +117,5 @@ def test_what_is_recorded_is_what_the_bus_carried_decoded_by_the_dbc(whole, tmp_
             # The bus log begins before the job and ends after it.
             starts = [k for k, value in enumerate(on_bus) if value == recorded[0]]
             assert any(on_bus[k : k + len(recorded)] == recorded for k in starts), f"{name}_{quantity}"
-            assert quantity == "passive [1]" or len(recorded) > 50, f"{name}_{quantity}: nothing much happened"
+            stands = (name, quantity) == ("joint_1", "position [rad]")  # but for noise: the blow needs joints 2 and 3 alone
+            assert quantity == "passive [1]" or stands or len(recorded) > 50, f"{name}_{quantity}: nothing much happened"

@@ -283,7 +283,7 @@ def test_every_command_in_every_state(drive, name):
     drive.write(0x6060, 0, 8, "b")
     for state in STATES:
         bring_to(drive, state)
-        # Halt and the bits of the maker and of the mode say nothing about the state.
+        # Bits 11 to 15 say nothing about the state.
         command(drive, COMMANDS[name] | (0xF800 if state in (DISABLED, READY) else 0))
         wanted = MATRIX[name].get(state, state)
         shows(drive, wanted)
