@@ -25,9 +25,10 @@ if(MRR_SANITIZE)
   if(MRR_SANITIZE STREQUAL "undefined")
     set(sanitizers undefined)
   endif()
-  # With sanitizers GCC believes <regex> and others to be uninitialized; the builds without see what really is.
+  # With sanitizers GCC believes <regex> and others to be uninitialized, and a replaced operator new to be mismatched;
+  # the builds without see what really is.
   target_compile_options(mrr_flags INTERFACE -fsanitize=${sanitizers} -fno-sanitize-recover=all -fno-omit-frame-pointer
-    -Wno-maybe-uninitialized)
+    -Wno-maybe-uninitialized -Wno-mismatched-new-delete)
   target_link_options(mrr_flags INTERFACE -fsanitize=${sanitizers})
 endif()
 
