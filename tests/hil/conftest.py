@@ -147,6 +147,18 @@ def led_module(robot):
 
 
 @pytest.fixture
+def drive(led_module):
+    """A raw client of the led module, in OPERATIONAL and SWITCH ON DISABLED; no SYNC, so mode 8 holds where it is."""
+    with Wire("vcan0", node=4) as wire:
+        wire.reset()
+        wire.switch_on_disabled()
+        yield wire
+        wire.write(0x6040, 0, 0, "H")
+        wire.reset()
+    assert led_module.alive(), led_module.text()
+
+
+@pytest.fixture
 def wire(bare_module):
     """A raw client of the bare module, which has been reset, is in PRE-OPERATIONAL and has said what it lacks."""
     with Wire("vcan0", node=2) as wire:

@@ -17,7 +17,6 @@ ERROR = 0x20000000  # CAN_ERR_FLAG
 CONTROLLER, BUS_OFF, RESTARTED, NO_ACKNOWLEDGE, BUS_ERROR = 0x004, 0x040, 0x100, 0x020, 0x080
 RX_PASSIVE, TX_PASSIVE, ACTIVE, WARNING, OVERFLOW = 0x10, 0x20, 0x40, 0x04, 0x01
 OFF, PASSIVE = 0x8140, 0x8120
-NODE = 4
 FAULT = 0x08
 
 
@@ -26,16 +25,6 @@ def report(kind, controller=0, count=1, interface="vcan0"):
         raw.bind((interface,))
         for _ in range(count):
             raw.send(struct.pack("=IB3x8s", ERROR | kind, 8, bytes([0, controller])))
-
-
-@pytest.fixture
-def drive(led_module):
-    with Wire("vcan0", node=NODE) as wire:
-        wire.reset()
-        wire.switch_on_disabled()
-        yield wire
-        wire.reset()
-    assert led_module.alive(), led_module.text()
 
 
 def test_bus_off_of_an_enabled_joint_is_a_latched_fault_and_ends_with_a_reset(drive):

@@ -4,7 +4,7 @@ module with the emulator behind it."""
 import time
 
 import pytest
-from wire import Abort, Wire
+from wire import Abort
 
 NODE = 4
 DISABLED, READY, ON, ENABLED, QUICK_STOP, FAULT = 0x40, 0x21, 0x23, 0x27, 0x07, 0x08
@@ -20,18 +20,6 @@ def shows(wire, state, limit_s=3.0):
     while (word := wire.read(0x6041)) & mask != state:
         assert time.monotonic() < end, f"statusword {word:04X}, wanted {state:02X}"
         time.sleep(0.005)
-
-
-@pytest.fixture
-def drive(led_module):
-    """In OPERATIONAL and SWITCH ON DISABLED; no SYNC, so mode 8 holds where it is."""
-    with Wire("vcan0", node=NODE) as wire:
-        wire.reset()
-        wire.switch_on_disabled()
-        yield wire
-        wire.write(0x6040, 0, 0, "H")
-        wire.reset()
-    assert led_module.alive(), led_module.text()
 
 
 def command(wire, word):

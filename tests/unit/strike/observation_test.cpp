@@ -444,6 +444,25 @@ ContactReport blow_report(double impulse_n_s, double duration_s, double depth_m,
   return r;
 }
 
+TEST(Estimator, ABlowWhoseFaceNeverLeftKeepsAllOfItsImpulse) {
+  const auto points = leaving(0.021, 7000.0, 1.0, 0.5, 2);
+  StrikePlan plan;
+  for (const std::size_t seen : {std::size_t{8}, points.size()}) {
+    ContactReport report = blow_report(1.0, 0.050, 0.0, 0.47);
+    report.force_noise_n = 0.5;
+    report.face_end_m = 0.0215 * plan.normal;
+    for (std::size_t k = 0; k < seen; ++k) {
+      ContactPoint point = points[k];
+      point.counted_s = 4e-3;
+      (void)report.leaving.push_back(point);
+    }
+    StrikeEstimator estimator(0.05);
+    const SeenBlow blow = estimator.look(plan, report);
+    ASSERT_NEAR(blow.head.m, 0.021, 1e-3);
+    EXPECT_EQ(blow.contact.impulse_n_s == report.impulse_n_s, seen == 8) << seen;
+  }
+}
+
 TEST(Estimator, LearnsTheEffectiveMassOfTheReferencesFirstBlow) {
   StrikePlan plan;
   plan.effective_mass_kg = 2.2;
